@@ -80,7 +80,7 @@ def make_and_close(task: tuple[int, int, str]) -> bytes:
         "after": after, "truth": answer["true_rmse_K"], "known": known,
         "rounds": [
             {
-                "excess_chi2": r.excess_chi2,
+                "excess_chi2": r.base.excess_chi2,
                 "trials": [[t.name, t.delta_bic, t.score, t.excess_chi2] for t in r.trials[:4]],
             }
             for r in found.rounds

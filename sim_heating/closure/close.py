@@ -51,12 +51,12 @@ from sim_heating.closure.result import (
 from sim_heating.closure.search.changes.record_change import ENDS_MOVED
 from sim_heating.closure.search.hypothesis import Conclusion, Hypothesis
 from sim_heating.closure.search.ranking import posteriors
-from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.tell_apart import tell_apart
 from sim_heating.closure.search.trials.told_error import told_error
 from sim_heating.closure.search.trials.trial_fit import (
+    CONVERGE,
     QUICK,
     WIDENED,
     TrialFit,
@@ -92,8 +92,6 @@ COMMAND = "close-loop"
 """Name under which its results are listed."""
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
-SEARCH_FRACTION = 0.8
-"""Fraction of the time that the search takes."""
 REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=QUICK.trust_radius)
 """Convergence of the last fit: far within its bounds; no step is longer than those of the search."""
 SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain", "tau_s": "tau_s", "drift": "drift_K_s"}
@@ -168,8 +166,8 @@ def close_loop(
         progress(0.0, line)
     record, of_noise = with_noise(record)
     notes = [*averaged, *outlier_lines(outliers, {record.name: record}), *of_noise]
-    result = _stated(search_effects(record, parameters, progress=lambda f, text: progress(SEARCH_FRACTION * f, text)))
-    progress(SEARCH_FRACTION, "refitting with the effects found; residual as heating")
+    result = _stated(search_effects(record, parameters, progress=lambda f, text: progress(0.8 * f, text)))
+    progress(0.8, "refitting with the effects found; residual as heating")
     tasks: list[Callable[[], Any]] = [
         partial(_refitted, result), partial(_residual_after, result.before), partial(_before, result),
     ]  # fmt: skip

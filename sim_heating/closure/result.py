@@ -41,8 +41,6 @@ JOINT_FILES = (NAME, PAGE, RECORDS)
 """Files of a joint closure, besides a folder for each record."""
 FOUND, ONE_OF, PARTLY, UNKNOWN, NONE = "found", "one of", "partly", "unknown", "none"
 """The findings of a closure report."""
-HARDLY = 1.05
-"""Odds below which their size says no more."""
 FACTOR = "_factor"
 NOUNS = {"coating_factor": "coating thickness"}
 """Quantity of a factor whose name does not state it."""
@@ -289,7 +287,7 @@ class Statement:
         best = max(self.would_tell_apart, key=lambda e: e.log_odds)
         if best.log_odds >= math.log(POLICY.odds_apart):
             return [e.in_words() for e in self.would_tell_apart]
-        found = f"; the best, {best.in_words()}" if best.log_odds > math.log(HARDLY) else ""
+        found = f"; the best, {best.in_words()}" if best.log_odds > math.log(1.05) else ""
         return [f"none of the {self.experiment}s tried tells them apart{found}"]
 
 

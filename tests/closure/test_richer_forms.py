@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from sim_heating.closure.search.ranking import count_forms
-from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.free_forms import free_form
 from sim_heating.closure.search.trials.screening import predicted_gains
 from sim_heating.closure.search.trials.trial_fit import (
+    CONVERGE,
     TrialFit,
     base_trial,
     declared_fit,

@@ -18,14 +18,9 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.inputs.record import Record
 
 COLUMN = "axial_accel_g"
-HALF_WINDOW_S = 25.0
-MIN_SAMPLES = 20
-"""Samples that a window has at least."""
-BLIND_S = 2.0
-"""A step nearer than this to an end of its window is not searched for."""
+WINDOW = (25.0, 2.0, 20)
+"""Half its length [s], how near to its ends no step is searched for [s], and its least number of samples."""
 ANGLES = ("alpha_deg", "elevon_deg", "bodyflap_deg")
-LEAST_STEP = 0.01
-"""A smaller step, relative to the coefficient, is no transition: that raises the axial force by 5 % or more."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +39,7 @@ class AxialStep:
     @property
     def as_of_transition(self) -> bool:
         """Whether it is as large as that of a boundary layer that changes."""
-        return abs(self.relative) >= LEAST_STEP
+        return abs(self.relative) >= 0.01  # a transition raises the axial force by 5 % or more
 
     def describe(self) -> str:
         """One line for a person."""
@@ -70,7 +65,8 @@ def axial_steps(
     known = (
         (np.abs(a) > min_acceleration_g) & (t >= np.min(span, initial=np.inf)) & (t <= np.max(span, initial=-np.inf))
     )
-    if np.count_nonzero(known) < MIN_SAMPLES:
+    half_window_s, blind_s, min_samples = WINDOW
+    if np.count_nonzero(known) < min_samples:
         return ()
     t = t[known]
     # Over twice the dynamic pressure: the acceleration itself varies with density and speed throughout.
@@ -78,11 +74,11 @@ def axial_steps(
     angles = np.column_stack([flown[n][known] for n in ANGLES])
     scan = [(_step(t, C, angles, at), at) for at in 0.5 * (t[1:] + t[:-1])]
     scanned = [(F, dof, size, at) for (F, dof, size), at in scan if dof > 0]
-    # The number of places, BLIND_S apart, at which noise could have shown a step.
-    windows = max(np.ptp(t) / HALF_WINDOW_S, 1.0) * HALF_WINDOW_S / BLIND_S
+    # The number of places, as far apart as a step is not searched for, at which noise could have shown a step.
+    windows = max(np.ptp(t) / half_window_s, 1.0) * half_window_s / blind_s
     found: list[AxialStep] = []
     for F, dof, size, at in sorted(scanned, key=lambda s: -s[0]):
-        if all(abs(at - s.time_s) > HALF_WINDOW_S for s in found):
+        if all(abs(at - s.time_s) > half_window_s for s in found):
             single = float(fdtrc(1, dof, F))
             found.append(
                 AxialStep(float(at), size, float(-math.expm1(windows * math.log1p(-min(single, 1.0 - 1e-16)))))
@@ -99,9 +95,10 @@ def _step(
 
     resolution : least residual of a coefficient, relative to it: digits of a file are not noise
     """
-    window = np.abs(t - at) <= HALF_WINDOW_S
-    early, late = np.count_nonzero(window & (t < at - BLIND_S)), np.count_nonzero(window & (t > at + BLIND_S))
-    if min(early, late) < MIN_SAMPLES // 2:
+    half_window_s, blind_s, min_samples = WINDOW
+    window = np.abs(t - at) <= half_window_s
+    early, late = np.count_nonzero(window & (t < at - blind_s)), np.count_nonzero(window & (t > at + blind_s))
+    if min(early, late) < min_samples // 2:
         return 0.0, 0, 0.0
     x = t[window] - at
     centred = angles[window] - np.mean(angles[window], axis=0)

@@ -27,8 +27,6 @@ from sim_heating.estimation.inference.residual_tests import sidak_p_value
 ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
 MIN_EXCURSION_DEG = 1.0
 """Excursion of an angle from its median over the window that makes a manoeuvre."""
-MIN_FILLED = 0.1
-"""Area of a loop, over that of its box, from which on it is reported."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +52,7 @@ class HysteresisLoop:
     @property
     def significant(self) -> bool:
         """Whether noise alone is unlikely to make the loop."""
-        return self.p_value < POLICY.significance and abs(self.filled) > MIN_FILLED
+        return self.p_value < POLICY.significance and abs(self.filled) > 0.1
 
     def describe(self) -> str:
         """One line for a person."""

@@ -25,8 +25,6 @@ from sim_heating.march.history import march_points
 CLOCK, TRAJECTORY, START = "clock", "trajectory", "start"
 UNITS = {"milliseconds": 1e-3, "minutes": 60.0, "hours": 3600.0}
 """Units of time that a clock may be in by mistake, in s."""
-DECELERATION_M_S2 = (0.05, 300.0)
-"""Limits of the mean deceleration of an entry."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ def _is_ground_test(record: Record, *, min_entry_speed_m_s: float = 1000.0) -> b
 
 
 def _is_entry(deceleration_m_s2: float) -> bool:
-    return DECELERATION_M_S2[0] < deceleration_m_s2 < DECELERATION_M_S2[1]
+    return 0.05 < deceleration_m_s2 < 300.0
 
 
 def _correlation_at(record: Record, factor: float, conditions_right: bool) -> float:

@@ -25,8 +25,6 @@ from sim_heating.estimation.inference.residual_tests import sidak_p_value
 
 LAGS_S = (-20.0, -10.0, -5.0, -2.0, 0.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 """Lags of a shape behind its variable [s]; a thermocouple's clock rarely has a larger error."""
-QUANTILES = (0.2, 0.4, 0.6, 0.75, 0.9, 0.97)
-"""Thresholds that are tried, as quantiles of a variable."""
 TIME = "time_s"
 
 
@@ -186,7 +184,8 @@ def candidate_shapes(
 
 def _forms(name: str, v: FloatArray) -> list[tuple[str, float]]:
     """Forms of a variable, each with its threshold or centre."""
-    thresholds = [float(q) for q in np.unique(np.quantile(v, QUANTILES)) if np.min(v) < q < np.max(v)]
+    tried = np.unique(np.quantile(v, (0.2, 0.4, 0.6, 0.75, 0.9, 0.97)))
+    thresholds = [float(q) for q in tried if np.min(v) < q < np.max(v)]
     steps = [("step", at) for at in thresholds]
     if name == TIME:
         return [("linear", 0.0), *(("step", float(q)) for q in np.quantile(v, np.linspace(0.04, 0.96, 24)))]

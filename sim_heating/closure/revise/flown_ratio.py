@@ -33,11 +33,6 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import Evidence, node_weights
 
-WORST = 0.02
-"""Part of the samples, those that lie farthest from what the nodes give, by which the nodes are judged."""
-NEGLIGIBLE = 1e-9
-"""Singular value, over the largest, below which a combination of the parameters changes nothing along the path."""
-
 
 def _unknown(x: FloatArray) -> FloatArray:
     raise NotImplementedError("evidence from a file is not a function of the conditions")
@@ -81,21 +76,21 @@ class FlownRatio:
         """
         nodes, A, r, E = self._weighted(axes)
         U, s, _ = np.linalg.svd(E, full_matrices=False)
-        kept = s > NEGLIGIBLE * np.max(s, initial=0.0)
+        kept = s > 1e-9 * np.max(s, initial=0.0)  # others change nothing along the path
         U, s = U[:, kept], s[kept]
         return Evidence(self.names, nodes, U.T @ A, U.T @ r, np.diag(s**2))
 
     def misfit(self, axes: Sequence[FloatArray]) -> float:
         """How far the ratio lies from that between nodes of these axes that have it themselves, over the ratio [-].
 
-        Root mean square of the samples that lie farthest, the part WORST of all.
+        Root mean square of the samples that lie farthest, 2 % of all.
         """
         W = node_weights(axes, self.x)
         nodes = np.unique(W.indices)
         places = np.unravel_index(nodes, [len(a) for a in axes])
         at_nodes = self.ratio_at(np.stack([a[i] for a, i in zip(axes, places, strict=True)], axis=1))
         off = self.ratio - W[:, nodes] @ at_nodes
-        worst = np.sort(off**2)[-max(int(WORST * len(off)), 1) :]
+        worst = np.sort(off**2)[-max(int(0.02 * len(off)), 1) :]
         return float(np.sqrt(np.mean(worst) / np.average(self.ratio**2, weights=self.weight)))
 
     def form_covariance(self, names: Sequence[str]) -> FloatArray:

@@ -19,8 +19,6 @@ from sim_heating.closure.revise.flown_ratio import FlownRatio
 
 LEAST_EXCURSION = {"alpha_deg": 1.0, "beta_deg": 0.5, "log10_re": 0.05, "elevon_deg": 1.0, "bodyflap_deg": 1.0}
 """Excursion [deg], or [-] for log10_re, below which a variable takes no node."""
-DECIMALS = {"alpha_deg": 2, "beta_deg": 2, "log10_re": 3, "elevon_deg": 2, "bodyflap_deg": 2}
-"""Decimals of the place of an added node."""
 
 
 def axes_for(
@@ -64,6 +62,7 @@ def _with_best_node(
         size = int(np.prod([len(a) for a in axes])) // len(axes[i]) * (len(axes[i]) + 1)
         if len(axes[i]) == 1 or high - low < LEAST_EXCURSION[name] or size > most_nodes:
             continue
+        decimals = 3 if name == "log10_re" else 2
         places = np.linspace(low, high, values_tried + 2)[1:-1]
         left = [flown.misfit(_with_node(axes, i, p)) for p in places]
         best = int(np.argmin(left))
@@ -71,10 +70,10 @@ def _with_best_node(
         refined = minimize_scalar(
             lambda p, i=i: flown.misfit(_with_node(axes, i, p)),
             bounds=(places[best] - step, places[best] + step), method="bounded",
-            options={"xatol": 0.5 * 10.0 ** -DECIMALS[name]},
+            options={"xatol": 0.5 * 10.0**-decimals},
         )  # fmt: skip
         place = float(refined.x if refined.fun < left[best] else places[best])
-        new = _with_node(axes, i, round(place, DECIMALS[name]))
+        new = _with_node(axes, i, round(place, decimals))
         found.append((new, flown.misfit(new)))
     return min(found, key=lambda f: f[1], default=None)
 

@@ -50,8 +50,6 @@ from sim_heating.inputs.vehicle import Vehicle
 FOLDER = "ratio_revisions"
 TURBULENT = "turbulent.csv"
 """Kind of file of a turbulent table before a revision."""
-WAIT_S = 3600.0
-"""Longest wait for another process that revises the same vehicle [s]; its predictions may take minutes."""
 
 
 @dataclass(frozen=True)
@@ -290,7 +288,8 @@ def revising(directory: str | os.PathLike[str], progress: Progress = no_progress
     raises   : InputError where that does not end, or the vehicle cannot be written
     """
     text = f"waiting for another process that revises {display_path(directory)}"
-    with exclusive(directory, wait_s=WAIT_S, waiting=lambda: progress(0.0, text)):
+    # the predictions of the other one may take minutes
+    with exclusive(directory, wait_s=3600.0, waiting=lambda: progress(0.0, text)):
         yield
 
 

@@ -174,13 +174,13 @@ def with_one_more(below: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) 
     )
 
 
-def _with_far(found: Hypothesis, far: Sequence[str]) -> Hypothesis:
+def _with_far(h: Hypothesis, far: Sequence[str]) -> Hypothesis:
     """A hypothesis with the objection that a declared value is further off than it scatters.
 
     Such a fault of a declaration may have any size, but has to explain the record.
     """
-    explains = not far or found.adequate
-    return found if explains else replace(found, objections=(*found.objections, *far))
+    explains = not far or h.adequate
+    return h if explains else replace(h, objections=(*h.objections, *far))
 
 
 def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -305,8 +305,8 @@ def _things(h: Hypothesis) -> set[tuple[str, str]]:
     change = [] if h.change is None or h.change.parameter is None else [h.change.parameter.name]
     names = {*change, *(n for t in h.trials for n in t.candidate.model_names)}
     layers = {n: layer_parameter(n) for n in names}
-    found = {(layer[0], layer[1].name) for layer in layers.values() if layer is not None and layer[0] != "coating"}
-    return found | {("record", n) for n in names if n in RECORD_PARAMETERS}
+    parameters = {(layer[0], layer[1].name) for layer in layers.values() if layer is not None and layer[0] != "coating"}
+    return parameters | {("record", n) for n in names if n in RECORD_PARAMETERS}
 
 
 def _small_error(h: Hypothesis) -> bool:

@@ -17,7 +17,7 @@ from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.ranking import delta_bic, needed_log_likelihood
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import (
-    QUICK,
+    CONVERGE,
     TrialFit,
     corrected,
     fitted_values,
@@ -32,8 +32,6 @@ from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.record import Record
-
-CONVERGE = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=60)
 
 
 def refine(
@@ -67,10 +65,10 @@ def refine(
     continued = maximise_together([problems[k] for k in again], [fits[k].values for k in again], CONVERGE)
     for k, fit in zip(again, continued, strict=True):
         contenders[k] = _contender(base, forms[k][1], problems[k], fit)
-    found: dict[str, list[TrialFit]] = {}
+    by_name: dict[str, list[TrialFit]] = {}
     for contender in filter(None, contenders):
-        found.setdefault(contender.name, []).append(contender)
-    chosen = [min(forms, key=lambda t: (not t.admissible, t.delta_bic)) for forms in found.values()]
+        by_name.setdefault(contender.name, []).append(contender)
+    chosen = [min(forms, key=lambda t: (not t.admissible, t.delta_bic)) for forms in by_name.values()]
     complete = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in chosen]
     return sorted(complete, key=lambda t: t.delta_bic)
 

@@ -46,14 +46,15 @@ from sim_heating.closure.search.hypothesis import (
     scored,
     with_one_more,
 )
-from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, score_round
-from sim_heating.closure.search.refine import CONVERGE, recorrected, refine
+from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, scored_trials
+from sim_heating.closure.search.refine import recorrected, refine
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.free_forms import FREE_FORMS, free_form, has_free_form
 from sim_heating.closure.search.trials.history_starts import history_starts
 from sim_heating.closure.search.trials.screening import fit_in_stages, gains_from, predicted_gains, select_candidates
 from sim_heating.closure.search.trials.trial_fit import (
+    CONVERGE,
     TrialFit,
     base_trial,
     declared_fit,
@@ -144,35 +145,35 @@ def search_effects(
     first = search_round(base, [], _part(progress, 0.1, 0.35, "one effect"))
     singles = _refined(base, first, _part(progress, 0.35, 0.45, "one effect"))
     none = hypothesis([base], {})
-    rounds, found = [first], [hypothesis([t], first.forms) for t in singles]
+    rounds, hypotheses = [first], [hypothesis([t], first.forms) for t in singles]
     discrepancies = flight_discrepancies(record.conditions)
-    found += _changes(before, base, singles, discrepancies, _explaining(found), progress)
-    rated = scored(none, found)
+    hypotheses += _changes(before, base, singles, discrepancies, _explaining(hypotheses), progress)
+    rated = scored(none, hypotheses)
     if _more_is_missing(none, rated):
-        found += _fitted_on(base, none, found, record, first.forms)
-        rated = scored(none, found)
+        hypotheses += _fitted_on(base, none, hypotheses, record, first.forms)
+        rated = scored(none, hypotheses)
     if _more_is_missing(none, rated):
-        more, pairs = _with_one_more(_first_picks(found), first.forms, _part(progress, 0.5, 0.8, "two effects"))
+        more, pairs = _with_one_more(_first_picks(hypotheses), first.forms, _part(progress, 0.5, 0.8, "two effects"))
         rounds += more
-        rated = _accepted(none, [*found, *pairs])
+        rated = _accepted(none, [*hypotheses, *pairs])
         if _more_is_missing(none, rated):
             pairs += _fitted_on(base, none, pairs, record, first.forms)
-        found += pairs
-        rated = _accepted(none, found)
+        hypotheses += pairs
+        rated = _accepted(none, hypotheses)
         if _more_is_missing(none, rated) and len(rated[0].names) == 2 and rated[0].change is None:
             more, triples = _with_one_more(
                 [list(rated[0].trials)], first.forms, _part(progress, 0.8, 0.9, "three effects")
             )
             rounds += more
-            found += [*triples, *_recorrected(none, triples, record, first.forms)]
-        found += _pruned(base, _accepted(none, found), first.forms)
-        more, exchanged = _exchanged(base, none, found, first, _part(progress, 0.85, 0.9, "rivals of the causes"))
+            hypotheses += [*triples, *_recorrected(none, triples, record, first.forms)]
+        hypotheses += _pruned(base, _accepted(none, hypotheses), first.forms)
+        more, exchanged = _exchanged(base, none, hypotheses, first, _part(progress, 0.85, 0.9, "rivals of the causes"))
         rounds += more
-        found += exchanged
-        rated = _accepted(none, found)
+        hypotheses += exchanged
+        rated = _accepted(none, hypotheses)
         if _more_is_missing(none, rated):
-            found += _on_the_best_change(none, rated, _part(progress, 0.9, 0.95, "an effect besides a change"))
-            rated = _accepted(none, found)
+            hypotheses += _on_the_best_change(none, rated, _part(progress, 0.9, 0.95, "an effect besides a change"))
+            rated = _accepted(none, hypotheses)
     none, rated = _judged(none, rated)
     conclusion, curve = conclude(none, rated), None
     if conclusion.finding in ("partly", "unknown"):
@@ -246,9 +247,9 @@ def _changes(
     ]
 
 
-def _explaining(found: Sequence[Hypothesis]) -> set[str]:
+def _explaining(hypotheses: Sequence[Hypothesis]) -> set[str]:
     """Names of the hypotheses that may be named and explain the record to its noise."""
-    return {name for h in found if h.admissible and h.adequate for name in h.names}
+    return {name for h in hypotheses if h.admissible and h.adequate for name in h.names}
 
 
 def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
@@ -256,8 +257,8 @@ def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
     record = base.problem.record_fits[0].record
     flown = conditions_of_record(record)
     fitted = [n.split(".")[1] for n in base.problem.record_fits[0].march_names if n.startswith(EFFECT_PREFIX)]
-    found = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*taken, *fitted])
-    return [c for c in found if not any(is_fitted(base, name) for name in c.model_names)]
+    tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*taken, *fitted])
+    return [c for c in tried if not any(is_fitted(base, name) for name in c.model_names)]
 
 
 def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
@@ -271,10 +272,10 @@ def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
     return not (best.admissible and best.adequate) or has_free_form(best.last)
 
 
-def _refined(base: TrialFit, found: SearchRound, progress: Progress) -> list[TrialFit]:
+def _refined(base: TrialFit, of_round: SearchRound, progress: Progress) -> list[TrialFit]:
     """The leading candidates of a round, fitted to convergence."""
-    progress(0.0, f"fitting the leading of {len(found.trials)} candidates to convergence")
-    return refine(base, found.trials, found.tried, found.predicted)
+    progress(0.0, f"fitting the leading of {len(of_round.trials)} candidates to convergence")
+    return refine(base, of_round.trials, of_round.tried, of_round.predicted)
 
 
 def _with_one_more(
@@ -320,11 +321,11 @@ def _with_one_more(
     leading = sorted(
         ((t.fit.log_likelihood, i, t) for i, r in enumerate(rounds) for t in r.trials), key=lambda x: -x[0]
     )
-    for i, found in enumerate(rounds):
+    for i, of_round in enumerate(rounds):
         trials = [t for _, j, t in leading[: EFFORT.causes] if j == i]
-        refined = refine(bases[i], trials, found.tried, found.predicted) if trials else []
+        refined = refine(bases[i], trials, of_round.tried, of_round.predicted) if trials else []
         ordered = sorted(refined, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
-        hypotheses += [hypothesis([*stacks[i], t], {**forms, **found.forms}) for t in ordered]
+        hypotheses += [hypothesis([*stacks[i], t], {**forms, **of_round.forms}) for t in ordered]
     return rounds, hypotheses
 
 
@@ -334,15 +335,15 @@ def _screened(stack: Sequence[TrialFit]) -> tuple[list[Candidate], list[float]]:
     return tried, predicted_gains(stack[-1], tried)
 
 
-def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _accepted(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses best first, without those whose further effects explain too little.
 
     A further effect gains `Policy.min_gain_of_further` over every model with fewer effects that may be named. It
     explains a good part of what these leave, or takes the place of parameters of theirs, and predicts what is held out
     no worse.
     """
-    found = scored(none, found)
-    singles = [h for h in found if len(h.names) == 1]
+    hypotheses = scored(none, hypotheses)
+    singles = [h for h in hypotheses if len(h.names) == 1]
     kept = list(singles)
     for count in range(2, POLICY.max_causes + 1):
         # What fewer effects explain, whether they may be named or not: an inadmissible one still shows how little more
@@ -351,7 +352,7 @@ def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]
         least_explained = none.excess_chi2 - min((h.excess_chi2 for h in singles), default=none.excess_chi2)
         to_beat = min((h.score for h in kept), default=0.0) - POLICY.min_gain_of_further
         of_nameable = min((h.score for h in kept if h.admissible), default=0.0) - POLICY.min_gain_of_further
-        for h in [h for h in found if len(h.names) == count]:
+        for h in [h for h in hypotheses if len(h.names) == count]:
             gained = simpler.excess_chi2 - h.excess_chi2
             predicts = h.last.held_out_log_likelihood >= simpler.last.held_out_log_likelihood
             explains = gained >= POLICY.min_explained * simpler.excess_chi2
@@ -362,10 +363,10 @@ def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]
     return scored(none, _distinct(kept))
 
 
-def _distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _distinct(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The likeliest of those that have the same effects with the same free parameters."""
     best: dict[tuple[frozenset[str], frozenset[str]], Hypothesis] = {}
-    for h in sorted(found, key=lambda h: (not h.admissible, -h.last.fit.log_likelihood)):
+    for h in sorted(hypotheses, key=lambda h: (not h.admissible, -h.last.fit.log_likelihood)):
         best.setdefault((frozenset(h.names), frozenset(n for t in h.trials for n in t.candidate.names)), h)
     return list(best.values())
 
@@ -383,7 +384,7 @@ def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int
 
 
 def _exchanged(
-    base: TrialFit, none: Hypothesis, found: Sequence[Hypothesis], first: SearchRound, progress: Progress
+    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], first: SearchRound, progress: Progress
 ) -> tuple[list[SearchRound], list[Hypothesis]]:
     """The rounds and hypotheses in which other effects stand in place of members of the leading hypothesis.
 
@@ -395,7 +396,7 @@ def _exchanged(
     """
     rounds: list[SearchRound] = []
     more: list[Hypothesis] = []
-    rated = _accepted(none, found)
+    rated = _accepted(none, hypotheses)
     for _ in range(EFFORT.rivals):
         if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
             break
@@ -408,7 +409,7 @@ def _exchanged(
         seen, tried = _with_one_more(stacks, first.forms, progress)
         rounds += seen
         more += tried
-        rated = _accepted(none, [*found, *more])
+        rated = _accepted(none, [*hypotheses, *more])
         if set(rated[0].names) == set(best.names):
             break
     return rounds, more
@@ -420,53 +421,53 @@ def _in_simplest_form(trial: TrialFit, tried: Sequence[Candidate]) -> TrialFit:
     return replace(trial, candidate=min([trial.candidate, *forms], key=lambda c: len(c.names)))
 
 
-def _first_picks(found: Sequence[Hypothesis]) -> list[list[TrialFit]]:
+def _first_picks(hypotheses: Sequence[Hypothesis]) -> list[list[TrialFit]]:
     """The single effects that a further one is sought on top of, the likeliest of each form."""
     best: dict[tuple[str, ...], TrialFit] = {}
-    for trial in sorted((h.last for h in found if h.change is None), key=lambda t: -t.fit.log_likelihood):
+    for trial in sorted((h.last for h in hypotheses if h.change is None), key=lambda t: -t.fit.log_likelihood):
         best.setdefault(trial.candidate.names, trial)
     return [[trial] for trial in list(best.values())[: EFFORT.causes]]
 
 
 def _fitted_on(
-    base: TrialFit, none: Hypothesis, found: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
+    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
 ) -> list[Hypothesis]:
     """Hypotheses that explain most of the excess, fitted on: with their own mesh correction, and, where none of these
     explains the record, with an effect in a free form."""
-    more = _recorrected(none, found, whole, forms)
+    more = _recorrected(none, hypotheses, whole, forms)
     if not _explaining(more):
-        free = _free_forms(base, none, [*found, *more], forms)
+        free = _free_forms(base, none, [*hypotheses, *more], forms)
         more += [*free, *_recorrected(none, free, whole, forms)]
     return more
 
 
-def _explaining_most(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _explaining_most(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses of effects that explain most of the excess of the declared model, the best first."""
     most = (1.0 - POLICY.min_explained_by_library) * none.excess_chi2
-    explaining = [h for h in found if h.change is None and h.excess_chi2 < most]
+    explaining = [h for h in hypotheses if h.change is None and h.excess_chi2 < most]
     return sorted(explaining, key=lambda h: h.excess_chi2)
 
 
 def _recorrected(
-    none: Hypothesis, found: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int], *, most: int = 4
+    none: Hypothesis, hypotheses: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int], *, most: int = 4
 ) -> list[Hypothesis]:
     """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess.
 
     most : hypotheses that get a mesh correction of their own
     """
     leading: dict[frozenset[str], Hypothesis] = {}
-    for h in _explaining_most(none, found):
+    for h in _explaining_most(none, hypotheses):
         if not h.adequate:
             leading.setdefault(frozenset(h.names), h)
     return [hypothesis([*h.trials[:-1], recorrected(h.last, whole)], forms) for h in list(leading.values())[:most]]
 
 
 def _free_forms(
-    base: TrialFit, none: Hypothesis, found: Sequence[Hypothesis], forms: Mapping[str, int]
+    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], forms: Mapping[str, int]
 ) -> list[Hypothesis]:
     """Hypotheses with one effect in a free form (free_forms.py), for those that explain most of the excess."""
     wanted: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
-    for h in _explaining_most(none, found)[: EFFORT.causes]:
+    for h in _explaining_most(none, hypotheses)[: EFFORT.causes]:
         for freed in h.trials:
             others = [t for t in h.trials if t is not freed]
             key = (freed.name, *sorted(t.name for t in others))
@@ -502,8 +503,8 @@ def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress:
         return []
     more = search_round(best.last, best.effects, progress)
     refined = sorted(_refined(best.last, more, progress), key=lambda t: (not t.admissible, t.delta_bic))
-    found = [with_one_more(best, t, more.forms) for t in refined[: EFFORT.starts]]
-    return [h for h in found if h.adequate]
+    hypotheses = [with_one_more(best, t, more.forms) for t in refined[: EFFORT.starts]]
+    return [h for h in hypotheses if h.adequate]
 
 
 def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[str, float]) -> list[TrialFit]:
@@ -556,5 +557,5 @@ def _round_of(
         if candidate.name not in best:
             predicted = -2.0 * gain + len(candidate.names) * float(np.log(sample_count(base.problem)))
             screened_out[candidate.name] = min(predicted, screened_out.get(candidate.name, np.inf))
-    scored_round = score_round(base, trials, screened_out, count_forms(tried))
-    return replace(scored_round, tried=tuple(tried), predicted=tuple(gains))
+    forms = count_forms(tried)
+    return SearchRound(base, scored_trials(base, trials, forms), screened_out, tuple(tried), tuple(gains), forms)

@@ -37,15 +37,12 @@ from sim_heating.inputs.record import Record
 REPEATED = "the same flight again"
 REPEATED_TEST = "the same test again"
 """The same of a record without flow, as under a lamp."""
-PERIOD_S = {"alpha_deg": 30.0, "beta_deg": 20.0, "elevon_deg": 20.0, "bodyflap_deg": 20.0}
-"""Duration of a manoeuvre in each variable [s]: that of the founding paper's."""
-AMPLITUDE_DEG = {"alpha_deg": 5.0, "beta_deg": 2.0, "elevon_deg": 5.0, "bodyflap_deg": 5.0}
-IN_WORDS = {
-    "alpha_deg": "a push-over pull-up of 5 deg", "beta_deg": "a sideslip doublet of 2 deg",
-    "elevon_deg": "an elevon pulse of 5 deg", "bodyflap_deg": "a body-flap pulse of 5 deg",
+MANOEUVRES = {
+    "alpha_deg": (30.0, 5.0, "a push-over pull-up"), "beta_deg": (20.0, 2.0, "a sideslip doublet"),
+    "elevon_deg": (20.0, 5.0, "an elevon pulse"), "bodyflap_deg": (20.0, 5.0, "a body-flap pulse"),
 }  # fmt: skip
-MOST_ODDS = 1000.0
-"""Odds above which a number says no more."""
+"""By variable, duration of a manoeuvre [s], which is the founding paper's, its amplitude [deg], and its name."""
+LONGEST_S = max(period_s for period_s, _, _ in MANOEUVRES.values())
 
 
 @dataclass(frozen=True)
@@ -65,8 +62,8 @@ class Experiment:
 
     def in_words(self) -> str:
         """What it is, and its odds."""
-        if self.log_odds > math.log(MOST_ODDS):
-            return f"{self.what}: odds above {MOST_ODDS:g} to 1"
+        if self.log_odds > math.log(1000.0):
+            return f"{self.what}: odds above 1000 to 1"
         odds = math.exp(self.log_odds)
         return f"{self.what}: odds of {odds:.{1 if odds < 10.0 else 0}f} to 1"
 
@@ -194,18 +191,18 @@ def _manoeuvres(record: Record, *, begins: tuple[float, float, float] = (0.2, 0.
     """
     flown, read = record.conditions, record.time_s[record.fit_mask() | record.holdout_mask()]
     begin, end = max(float(read[0]), flown.time_s[0]), min(float(read[-1]), flown.time_s[-1])
-    if not record.has_flow or end - begin < 3.0 * max(PERIOD_S.values()):
+    if not record.has_flow or end - begin < 3.0 * LONGEST_S:
         return
     starts = [begin + place * (end - begin) for place in begins]
     # One grid for all, so that all are marched side by side.
-    fine = [t + s for t in starts for s in np.arange(0.0, max(PERIOD_S.values()) + 1.0)]
+    fine = [t + s for t in starts for s in np.arange(0.0, LONGEST_S + 1.0)]
     flown = flown.at(np.union1d(flown.time_s, np.clip(fine, flown.time_s[0], flown.time_s[-1])))
-    for variable, period in PERIOD_S.items():
+    for variable, (period, amplitude_deg, name) in MANOEUVRES.items():
         for t in starts:
-            excursion = AMPLITUDE_DEG[variable] * _wave(variable, (flown.time_s - t) / period)
+            excursion = amplitude_deg * _wave(variable, (flown.time_s - t) / period)
             columns = {variable: _within_table(record, variable, flown[variable] + excursion)}
             changed = replace(record, conditions=flown.with_columns(**columns))
-            yield _Flight(f"{IN_WORDS[variable]} at {t:.0f} s", variable, changed)
+            yield _Flight(f"{name} of {amplitude_deg:g} deg at {t:.0f} s", variable, changed)
 
 
 def _wave(variable: str, phase: FloatArray) -> FloatArray:

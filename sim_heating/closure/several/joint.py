@@ -55,9 +55,6 @@ from sim_heating.simulation.predict import Prediction
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ALONE = 0.75
-"""Part of the time that the searches of single records take."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointClosedLoop:
@@ -130,10 +127,10 @@ def close_loops(
     for k, record in enumerate(loaded):
 
         def report(fraction: float, text: str, k: int = k, name: str = record.name) -> None:
-            progress(ALONE * (k + fraction) / len(loaded), f"{name}: {text}")
+            progress(0.75 * (k + fraction) / len(loaded), f"{name}: {text}")
 
         loops.append(close_loop(record, parameters, progress=report))
-    return join(loops, progress=lambda f, text: progress(ALONE + (1.0 - ALONE) * f, text))
+    return join(loops, progress=lambda f, text: progress(0.75 + 0.25 * f, text))
 
 
 def join(loops: Sequence[ClosedLoop], *, progress: Progress = no_progress) -> JointClosedLoop:

@@ -30,12 +30,12 @@ from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.changes.record_change import problem_over
 from sim_heating.closure.search.hypothesis import Hypothesis, adequacy_of
 from sim_heating.closure.search.ranking import scatter_price
-from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.simulated_records import RECORDS
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import (
+    CONVERGE,
     OF_TABLE,
     TrialFit,
     fitted_values,
@@ -76,7 +76,7 @@ class Cause:
     names: tuple[str, ...]
     kind: str
     candidates: tuple[Candidate, ...]
-    price: float
+    price: float = 0.0
     change: RecordChange | None = None
     found: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
     changed: Mapping[int, TrialFit] = field(default_factory=dict)
@@ -104,7 +104,7 @@ class Cause:
         return f"<Cause {' + '.join(self.names)}: {', '.join(self.candidate.names)}>"
 
 
-NO_CAUSE = Cause((), "", (), 0.0)
+NO_CAUSE = Cause((), "", ())
 """Of the declared models, which have the error of their flight in common."""
 
 
@@ -296,23 +296,23 @@ class JointHypothesis(Hypothesis):
         The smallest of n independent p-values is below p with the probability 1 - (1 - p)^n (Sidak 1967).
         """
         names = [self.by_record[i].problem.record_fits[0].record.name for i in self.members]
-        found = [self.adequacy_by_record[i] for i in self.members]
+        of_members = [self.adequacy_by_record[i] for i in self.members]
         counts = np.array([sample_count(self.by_record[i].problem) for i in self.members], dtype=float)
 
         def mean(values: Sequence[float]) -> float:
             return float(np.average(values, weights=counts))
 
-        held_out = [a.chi2_holdout for a in found if a.chi2_holdout is not None]
+        held_out = [a.chi2_holdout for a in of_members if a.chi2_holdout is not None]
         return Adequacy(
-            p_value=-math.expm1(len(found) * math.log1p(-min(a.p_value for a in found))),
-            chi2_fit=mean([a.chi2_fit for a in found]),
+            p_value=-math.expm1(len(of_members) * math.log1p(-min(a.p_value for a in of_members))),
+            chi2_fit=mean([a.chi2_fit for a in of_members]),
             chi2_holdout=float(np.mean(held_out)) if held_out else None,
-            lag1=mean([a.lag1 for a in found]),
-            sign_changes=mean([a.sign_changes for a in found]),
-            by_sensor={f"{n}, {k}": v for n, a in zip(names, found, strict=True) for k, v in a.by_sensor.items()},
-            by_phase={f"{n}, {k}": v for n, a in zip(names, found, strict=True) for k, v in a.by_phase.items()},
-            statistic=max(a.statistic for a in found),
-            unstructured=all(a.unstructured for a in found),
+            lag1=mean([a.lag1 for a in of_members]),
+            sign_changes=mean([a.sign_changes for a in of_members]),
+            by_sensor={f"{n}, {k}": v for n, a in zip(names, of_members, strict=True) for k, v in a.by_sensor.items()},
+            by_phase={f"{n}, {k}": v for n, a in zip(names, of_members, strict=True) for k, v in a.by_phase.items()},
+            statistic=max(a.statistic for a in of_members),
+            unstructured=all(a.unstructured for a in of_members),
         )
 
     @cached_property
@@ -473,11 +473,11 @@ def owner(level: str, record: Record, one_point: bool) -> str:
 def narrower_levels(level: str, records: Sequence[Record]) -> list[str]:
     """Levels below one at which more values of a parameter are estimated; none where every record has its own."""
     points = [r.declared.control_point for r in records]
-    found, one_point = [], len(set(points)) == 1
+    levels, one_point = [], len(set(points)) == 1
     owners = {owner(level, r, one_point) for r in records}
     for narrower in LEVELS[LEVELS.index(level) + 1 :]:
         own = {owner(narrower, r, one_point) for r in records}
         if len(own) > len(owners):
-            found.append(narrower)
+            levels.append(narrower)
             owners = own
-    return found
+    return levels

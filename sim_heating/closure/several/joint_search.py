@@ -95,8 +95,8 @@ def search_jointly(alone: Sequence[SearchResult], *, progress: Progress = no_pro
     declared = [(base, 0.0) for base in bases]
     none = JointHypothesis((bases[0],), by_record=tuple(bases), alone=(0.0,) * len(bases))
     progress(0.05, "causes in all records together")
-    found = [joint_hypothesis(m, f, bases, declared) for m, f in _fitted(leading_causes(alone), bases)]
-    ranked = _best_of_each(none, found)
+    hypotheses = [joint_hypothesis(m, f, bases, declared) for m, f in _fitted(leading_causes(alone), bases)]
+    ranked = _best_of_each(none, hypotheses)
     progress(0.5, "parameters of each record's own")
     ranked = _best_of_each(
         none, [*_with_own_parameters(none, ranked[: EFFORT.rivals], bases), *ranked[EFFORT.rivals :]]
@@ -139,10 +139,10 @@ def _fitted(causes: Sequence[Cause], bases: Sequence[TrialFit]) -> list[tuple[Jo
     return list(best.values())
 
 
-def _best_of_each(none: JointHypothesis, found: Sequence[JointHypothesis]) -> list[JointHypothesis]:
+def _best_of_each(none: JointHypothesis, hypotheses: Sequence[JointHypothesis]) -> list[JointHypothesis]:
     """The best hypothesis of each cause, best first."""
     best: dict[frozenset[str], JointHypothesis] = {}
-    for h in rated(none, found):
+    for h in rated(none, hypotheses):
         best.setdefault(frozenset(h.names), h)
     return rated(none, list(best.values()))
 
@@ -160,18 +160,20 @@ def _with_own_parameters(
     """
     models = [_narrowed(h, bases, None) for h in ranked]
     tried = [k for k, m in enumerate(models) if m is not None]
-    found = dict(zip(tried, _fit_narrower([ranked[k] for k in tried], [models[k] for k in tried], bases), strict=True))
-    every = rated(none, [*ranked, *found.values()])
+    narrowed = dict(
+        zip(tried, _fit_narrower([ranked[k] for k in tried], [models[k] for k in tried], bases), strict=True)
+    )
+    every = rated(none, [*ranked, *narrowed.values()])
     results, best = [], every[0].score if every else 0.0
     for k, h in enumerate(ranked):
-        if k not in found:
+        if k not in narrowed:
             results.append(h)
             continue
-        common, own = (next(r for r in every if r.model is x.model) for x in (h, found[k]))
+        common, own = (next(r for r in every if r.model is x.model) for x in (h, narrowed[k]))
         gained = common.score - common.price - (own.score - own.price) + _more(common, own)
         costs = math.log(sample_count(bases[0].problem))
         near = common.score - gained < best + POLICY.rival_margin
-        results.append(_one_by_one(none, h, found[k], bases) if gained > costs and near else h)
+        results.append(_one_by_one(none, h, narrowed[k], bases) if gained > costs and near else h)
     return results
 
 
@@ -214,12 +216,12 @@ def _fit_narrower(
         wanted += [model, joint_model(model.cause, bases, model.members, model.levels)]
         starts += [model.start(values), model.start(alone)]
     fits = fit_models(wanted, starts, iterations=FEW_STEPS)
-    declared, found = [(base, 0.0) for base in bases], []
+    declared, hypotheses = [(base, 0.0) for base in bases], []
     for k, h in enumerate(wider):
         pairs = list(zip(wanted, fits, strict=True))[2 * k : 2 * k + 2]
         model, fit = max(pairs, key=lambda p: p[1].log_likelihood if np.isfinite(p[1].log_likelihood) else -np.inf)
-        found.append(joint_hypothesis(model, fit, bases, declared) if np.isfinite(fit.log_likelihood) else h)
-    return found
+        hypotheses.append(joint_hypothesis(model, fit, bases, declared) if np.isfinite(fit.log_likelihood) else h)
+    return hypotheses
 
 
 def _narrowed(h: JointHypothesis, bases: Sequence[TrialFit], name: str | None) -> JointModel | None:

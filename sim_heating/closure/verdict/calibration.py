@@ -30,8 +30,6 @@ FEATURES = (
 )  # fmt: skip
 STATED = ("found", "one of", "none")
 """Findings that have a probability; the others say that they do not know."""
-LARGEST_RIVAL = 1e6
-"""Limit beyond which the distance of a rival says no more."""
 
 
 @cache
@@ -58,7 +56,7 @@ def features(
     no_effect    : whether what is named is a fault of flight, wall, sensor or table
     """
     p = 1.0 if p_value is None else max(float(p_value), POLICY.min_p_value)
-    apart, beaten = (min(max(float(x), 0.0), LARGEST_RIVAL) for x in (rival, disqualified))
+    apart, beaten = (min(max(float(x), 0.0), 1e6) for x in (rival, disqualified))  # beyond, a distance says no more
     return np.array([
         1.0, math.log1p(apart), math.log10(p), float(np.clip(explained, 0.0, 1.0)), finding == "one of",
         finding == "none", max(effects - 1, 0), math.log1p(beaten), no_effect,

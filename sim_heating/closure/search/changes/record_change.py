@@ -46,14 +46,10 @@ from sim_heating.estimation.record_fit import FittedChannel, RecordFit
 from sim_heating.estimation.side_by_side import JointMarch, iterate_together, maximise_together
 from sim_heating.inputs.record import Record
 
-DIFFERENCE = 0.1
-"""Step h of the sensitivity to a change, over the usual standard deviation of its parameter."""
 NEARLY = 0.95
 """Part of the best gain from which on the ends of a change are searched further, each time with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
-ENDS_MOVED_FINELY = (0.06, 0.03, 0.015, 0.007, 0.06, 0.03, 0.015, 0.007)
-"""The same, further on, where the change leads: some seconds of a large error are far above the noise."""
 CANNOT_BE = (InputError, RunError)
 """What a record raises that a change makes impossible: such a change explains nothing, and ends no search."""
 
@@ -74,7 +70,7 @@ class _ChangedModel:
             if not 0.0 < change.parameter.sigma < np.inf:
                 raise InputError(f"{change.what}: its parameter needs a finite sigma above 0")
             self.parameters.append(replace(change.parameter, sigma=WIDENED * change.parameter.sigma))
-            self.step = DIFFERENCE * change.parameter.sigma
+            self.step = 0.1 * change.parameter.sigma  # h of the sensitivity
         self._problems: dict[float, FitProblem] = {}
         self._moved = base.problem
 
@@ -189,9 +185,9 @@ class _EstimatedModel(_ChangedModel):
 
     def evaluate(self, vector: FloatArray) -> Evaluation:
         """As that of the problem, the parameter of the change last."""
-        found = self._problem.evaluate(vector[self._order])
-        information = found.information[np.ix_(self._place, self._place)]
-        return Evaluation(found.log_likelihood, found.gradient[self._place], information)
+        evaluation = self._problem.evaluate(vector[self._order])
+        information = evaluation.information[np.ix_(self._place, self._place)]
+        return Evaluation(evaluation.log_likelihood, evaluation.gradient[self._place], information)
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
         """(candidate,) log likelihoods of several vectors; NaN where a march fails."""
@@ -282,12 +278,12 @@ def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -
 
     def of_share(chosen: Sequence[int]) -> list[tuple[float, float]]:
         own, starts = [models[k] for k in chosen], [vectors[k] for k in chosen]
-        found = []
+        gains = []
         for model, at, here in zip(own, starts, _evaluate_together(own, starts), strict=True):
             reached = here.log_likelihood
             step = gain_of_step(model.parameters, at, here)
-            found.append((reached + step, reached) if np.isfinite(reached) else (-np.inf, -np.inf))
-        return found
+            gains.append((reached + step, reached) if np.isfinite(reached) else (-np.inf, -np.inf))
+        return gains
 
     return in_shares(of_share, len(models))
 
@@ -388,8 +384,8 @@ def fit_changes(
     gains = gains_over(fits, base.fit.log_likelihood)
     largest = max([share * best_gain, *gains])
     _move_ends(models, fits, [k for k in with_ends if gains[k] > NEARLY * largest], EFFORT.rivals)
-    found = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
-    return sorted((f for f in found if f is not None), key=lambda f: f.delta_bic)
+    trials = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
+    return sorted((f for f in trials if f is not None), key=lambda f: f.delta_bic)
 
 
 def with_own_corrections(
@@ -409,8 +405,8 @@ def with_own_corrections(
         return list(fits)
     best = min((f.delta_bic for f in fits), default=0.0)
     leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < NEARLY * best or not f.estimates]
-    found = [f if f not in leading else _recorrected(before, base, f) for f in fits]
-    return sorted(found, key=lambda f: f.delta_bic)
+    trials = [f if f not in leading else _recorrected(before, base, f) for f in fits]
+    return sorted(trials, key=lambda f: f.delta_bic)
 
 
 def _recorrected(before: FitResult, base: TrialFit, trial: TrialFit) -> TrialFit:
@@ -467,15 +463,17 @@ def _best_ends(model: _ChangedModel, fit: Fit, searches: int) -> tuple[list[_Mov
 
     A pattern search at the values of the fit, a fit at the ends found, and again from there while that gains.
     """
-    steps, moves = [ENDS_MOVED] * searches + [ENDS_MOVED_FINELY] * (searches > 1), list[_Move]()
+    # further on, where the change leads: some seconds of a large error are far above the noise
+    finely = (0.06, 0.03, 0.015, 0.007, 0.06, 0.03, 0.015, 0.007)
+    steps, moves = [ENDS_MOVED] * searches + [finely] * (searches > 1), list[_Move]()
     while steps:
         moved, further = _pattern_search(model, fit, steps.pop(0))
         gained = 0.0
         if further:
-            found = _maximise([moved], [fit.values])[0]
-            gained = found.log_likelihood - fit.log_likelihood
+            refitted = _maximise([moved], [fit.values])[0]
+            gained = refitted.log_likelihood - fit.log_likelihood
             if gained > 0.0:
-                model, fit, moves = moved, found, [*moves, *further]
+                model, fit, moves = moved, refitted, [*moves, *further]
         if not gained > POLICY.gain_margin:
             steps = [s for s in steps if s is not ENDS_MOVED]
     return moves, fit

@@ -39,12 +39,11 @@ from sim_heating.inputs.sensor_model import indicated_temperature
 from sim_heating.thermal.mesh import layer_diffusivities
 from sim_heating.thermal.stack import Sensor
 
-CELSIUS_0_K, KELVIN_PER_FAHRENHEIT, FAHRENHEIT_0 = 273.15, 5.0 / 9.0, 459.67
 UNITS: Mapping[str, tuple[float, float]] = {
-    "in degC, read as K": (-CELSIUS_0_K, 1.0),
-    "in degF, read as K": (-FAHRENHEIT_0, 1.0 / KELVIN_PER_FAHRENHEIT),
-    "in K, read as degC": (CELSIUS_0_K, 1.0),
-    "in K, read as degF": (FAHRENHEIT_0 * KELVIN_PER_FAHRENHEIT, KELVIN_PER_FAHRENHEIT),
+    "in degC, read as K": (-273.15, 1.0),
+    "in degF, read as K": (-459.67, 1.0 / (5.0 / 9.0)),
+    "in K, read as degC": (273.15, 1.0),
+    "in K, read as degF": (459.67 * (5.0 / 9.0), 5.0 / 9.0),
 }
 """Recorded over true temperature, c0 [K] and c1 [-], of a column in another unit or converted from one by mistake."""
 AT_NOISE = 1.6

@@ -101,7 +101,7 @@ def candidates(
     # The ratio of a point has one lag: a second effect that lags cannot be added.
     lag_taken = any(effects()[name].lags for name in taken if name in effects())
     declared = {used.effect.name for used in record.declared.heating.effects}
-    found = _declared_candidates(record, flown, taken)
+    tried = _declared_candidates(record, flown, taken)
     for name, effect in effects().items():
         # a declared transition may have another criterion than that of nature: the library's own takes its place
         if (
@@ -110,11 +110,11 @@ def candidates(
             and not (effect.lags and lag_taken)
             and all(_varies(v, flown) for v in effect.needs)
         ):
-            found += _effect_candidates(effect, record, flown)
+            tried += _effect_candidates(effect, record, flown)
     for name, forms in ((SENSOR_EFFECT, BIASES), (LAG_EFFECT, LAGS)):
         if name not in taken:
-            found += _sensor_candidates(record, name, forms)
-    return found
+            tried += _sensor_candidates(record, name, forms)
+    return tried
 
 
 def _with_criteria(record: Record, flown: Conditions) -> Conditions:
@@ -132,7 +132,7 @@ def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]
 
     Their priors are the declared ones: a declared effect is found where it differs from its declaration.
     """
-    found = []
+    tried = []
     for used in record.declared.heating.effects:
         effect, prefix = used.effect, f"{EFFECT_PREFIX}{used.effect.name}."
         starts = effect.starts_for(with_criterion(used, flown))
@@ -148,10 +148,10 @@ def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]
             values = declared | changed
             names = tuple(f"{prefix}{name}" for name in free)
             start = {f"{prefix}{name}": values[name] for name in free}
-            found.append(
+            tried.append(
                 Candidate(effect.name, (replace(used, values=tuple(values.values())),), names, start, names, names)
             )
-    return found
+    return tried
 
 
 def with_criterion(used: EffectUse, flown: Conditions) -> Conditions:
@@ -224,16 +224,16 @@ def _within(value: float, limits: tuple[float, float]) -> float:
 def _sensor_candidates(record: Record, effect: str, forms: Sequence[tuple[str, ...]]) -> list[Candidate]:
     """Errors of each used sensor by itself; none for a single one, whose bias resembles heating, and whose lag is that
     of all."""
-    found = []
+    tried = []
     for sensor in record.used_sensors if len(record.used_sensors) > 1 else []:
         for errors in forms:
             names = tuple(sensor_parameter(sensor, error) for error in errors)
             if forms is LAGS:
-                found += _lag_candidates(replace(SENSOR["tau_s"], name=names[0], value=sensor.tau_s))
+                tried += _lag_candidates(replace(SENSOR["tau_s"], name=names[0], value=sensor.tau_s))
                 continue
             start = {n: SENSOR[e].value for n, e in zip(names, errors, strict=True)}
-            found.append(Candidate(effect, (), names, start, active=names, with_prior=names))
-    return found
+            tried.append(Candidate(effect, (), names, start, active=names, with_prior=names))
+    return tried
 
 
 def _lag_candidates(

@@ -77,19 +77,19 @@ def heating_history(base: TrialFit, neutral: Candidate, *, smoothing_error: floa
     tabulated_alone = dict.fromkeys([*(p.name for p in parameters), CLOCK_SKEW.name], 0.0)
     at = start_values(problem, {**fitted_values(base), **tabulated_alone, **neutral.start})
     try:
-        found = residual_heating(problem, at)
+        missing = residual_heating(problem, at)
     except (InputError, RunError):
         return None
-    inside = found.fitted
-    t = found.time_s[inside]
+    inside = missing.fitted
+    t = missing.time_s[inside]
     flown = own.conditions.at(t)
     x = np.column_stack([flown[name] for name in RATIO_VARIABLES])
     tabulated = declared_ratio(own.model.ratio, x)
-    y = tabulated + found.delta_ratio[inside]
+    y = tabulated + missing.delta_ratio[inside]
     if len(t) == 0 or not np.all(np.isfinite(y)):
         return None
-    sigma = np.hypot(found.sigma[inside], smoothing_error * np.abs(y))
-    wall = np.interp(t, found.march_s, found.input.temperature_K[:, 0])
+    sigma = np.hypot(missing.sigma[inside], smoothing_error * np.abs(y))
+    wall = np.interp(t, missing.march_s, missing.input.temperature_K[:, 0])
     columns = basis([p.name for p in parameters], x, np.array(base.problem.reference), tabulated)
     return HeatingHistory(y, sigma, tabulated, columns, condition_history(flown), wall, parameters)
 
@@ -114,9 +114,9 @@ def history_starts(base: TrialFit, tried: Sequence[Candidate]) -> list[Candidate
             history = histories[key]
             if history is not None:
                 suitable.append((history, several))
-        found = in_processes([partial(_best_starts, *s) for s in suitable])
+        starts_by_form = in_processes([partial(_best_starts, *s) for s in suitable])
     return [replace(several[k], start=start, active=several[k].names)
-            for (_, several), starts in zip(suitable, found, strict=True) for k, start in starts]  # fmt: skip
+            for (_, several), starts in zip(suitable, starts_by_form, strict=True) for k, start in starts]  # fmt: skip
 
 
 def _is_suitable(c: Candidate) -> bool:
@@ -206,8 +206,8 @@ def _solved(
         h = np.where(z >= 0.0, step, -step) * np.maximum(np.abs(z), 1.0)
         h = np.where((z + h < lower) | (z + h > upper), -h, h)
         moved = np.vstack([z, z + np.diag(h)])
-        found = residuals(moved)
-        return ((found[1:] - found[0]) / (np.diag(moved[1:]) - z)[:, np.newaxis]).T
+        at_moved = residuals(moved)
+        return ((at_moved[1:] - at_moved[0]) / (np.diag(moved[1:]) - z)[:, np.newaxis]).T
 
     lower = np.append(np.full(count, -np.inf), [p.lower for p in free]) / unit
     upper = np.append(np.full(count, np.inf), [p.upper for p in free]) / unit

@@ -100,25 +100,25 @@ def gains_from(base: TrialFit, candidates: Sequence[Candidate], *, tie: float = 
         if not done:
             gains.append(-np.inf)
             continue
-        found = problem.evaluate(first)
-        gained = found.log_likelihood - base.fit.log_likelihood
-        promised = gained + gain_of_step(problem.parameters, first, found)
+        evaluation = problem.evaluate(first)
+        gained = evaluation.log_likelihood - base.fit.log_likelihood
+        promised = gained + gain_of_step(problem.parameters, first, evaluation)
         gains.append(max(gained, min(promised, limit)) + tie * gained)
     return gains
 
 
-def gain_of_step(parameters: Sequence[Parameter], at: FloatArray, found: Evaluation) -> float:
+def gain_of_step(parameters: Sequence[Parameter], at: FloatArray, evaluation: Evaluation) -> float:
     """Gain in log likelihood that a Gauss-Newton step predicts, the priors of the parameters included [-].
 
-    at : (parameter,) values that were evaluated;  found : log likelihood there, with gradient and information
+    at : (parameter,) values that were evaluated;  evaluation : log likelihood there, with gradient and information
 
     Parameters on a bound that the gradient pushes beyond it stay there.
     """
     prior = np.array([p.sigma**-2.0 for p in parameters])
-    gradient = found.gradient + prior * (np.array([p.value for p in parameters]) - at)
+    gradient = evaluation.gradient + prior * (np.array([p.value for p in parameters]) - at)
     lower, upper = (np.array([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
     free = ~(((at <= lower) & (gradient <= 0.0)) | ((at >= upper) & (gradient >= 0.0)))
-    information = (found.information + np.diag(prior))[np.ix_(free, free)]
+    information = (evaluation.information + np.diag(prior))[np.ix_(free, free)]
     return predicted_gain(gradient[free], covariance(information))
 
 
@@ -163,19 +163,19 @@ def _predicted_likelihoods(
 ) -> tuple[float, float]:
     """Log likelihood at the start, and after a Gauss-Newton step with what the base gains of its prior density."""
     channels = problem.samples(first)
-    found = scored.score(channels)
+    readings = scored.score(channels)
     own = np.concatenate([s.sensitivity for s in channels])
-    gradient, information = found.score @ own, found.weight @ own**2
+    gradient, information = readings.score @ own, readings.weight @ own**2
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
     # A parameter that starts on its bound and is pushed beyond it cannot contribute to the gain.
     on_bound = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
     J = np.column_stack([known.sensitivity, own[:, ~on_bound & (information > 0.0)]])
-    M, g = found.information(J), J.T @ found.score
+    M, g = readings.information(J), J.T @ readings.score
     count = len(known.prior_information)
     M[range(count), range(count)] += known.prior_information
     g[:count] += known.prior_information * known.to_mean
-    return found.log_likelihood, found.log_likelihood + predicted_gain(g, covariance(M))
+    return readings.log_likelihood, readings.log_likelihood + predicted_gain(g, covariance(M))
 
 
 def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:

@@ -53,8 +53,6 @@ from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
 from sim_heating.thermal.frame import NOT_CONTROLLED_K
 
-AGREEMENT = 0.25
-"""Part of the sample interval within which two recorders' clocks are taken to agree."""
 WIDENED = 3.0
 """Factor on the sigma of effects' priors in the search, which only keep a first step within reason; not on the priors
 of the declared table, which are part of the model."""
@@ -68,8 +66,7 @@ QUICK = NewtonSettings(
     trust_radius=0.4,
     unlimited=OF_TABLE,
 )
-SETTLING = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=40)
-"""Settings of the fit with an error of its own."""
+CONVERGE = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=60)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -80,7 +77,6 @@ class TrialFit:
     problem   : over the fitted samples;  held_out : over those held out, None where there are none
     delta_bic : its BIC minus that of the model without it, residuals taken as noise (c = 1)
     score     : the BIC difference with c of the best model, held-out segments, forms and priors included
-    posterior : its probability among all candidates of its round
     size      : what the readings say of the size of its model's error, responses taken about its own values; None as
                 long as the error is that of the base
     objections : why it may not be named, empty where it may; known of candidates fitted to convergence
@@ -96,7 +92,6 @@ class TrialFit:
     fit: Fit
     delta_bic: float = 0.0
     score: float = 0.0
-    posterior: float = 0.0
     size: ErrorSize | None = None
     objections: tuple[str, ...] = ()
     change: RecordChange | None = None
@@ -184,7 +179,7 @@ class TrialFit:
         if self.held_out is None:
             return 0.0
         if self.held_out.record_fits[0].model_error is None:
-            found = self.held_out.evaluate(self.fit.values).log_likelihood
+            total = self.held_out.evaluate(self.fit.values).log_likelihood
         else:
             try:
                 samples = self.held_out_samples
@@ -192,8 +187,8 @@ class TrialFit:
                 return -np.inf
             known = self.held_out.record_fits[0].known_log_likelihood
             each = (log_likelihood(s.channel.intervals, s.mean_K, s.spread_K) for s in samples)
-            found = known + sum(float(np.sum(x)) for x in each)
-        return found if np.isfinite(found) else -np.inf
+            total = known + sum(float(np.sum(x)) for x in each)
+        return total if np.isfinite(total) else -np.inf
 
     @cached_property
     def held_out_chi2(self) -> float:
@@ -204,7 +199,7 @@ class TrialFit:
 
     def __repr__(self) -> str:
         name = self.name if self.change is None else self.change.describe(self.value)
-        return f"<TrialFit of {name}: score {self.score:+.1f}, posterior {self.posterior:.3f}>"
+        return f"<TrialFit of {name}: score {self.score:+.1f}>"
 
 
 def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResult:
@@ -333,15 +328,15 @@ def with_own_error(trial: TrialFit) -> TrialFit:
         )  # fmt: skip
     except RunError:
         return trial
-    found = with_error(trial, error)
-    size = _sizewith_error(found, prior)
-    found = with_error(found, error.of_size(*size.likeliest))
-    fit = maximise_together([found.problem], [trial.fit.values], SETTLING)[0]
+    sized = with_error(trial, error)
+    size = _size_of_error(sized, prior)
+    sized = with_error(sized, error.of_size(*size.likeliest))
+    fit = maximise_together([sized.problem], [trial.fit.values], replace(CONVERGE, iterations=40))[0]
     if not np.isfinite(fit.log_likelihood):
         return trial
     gained = fit.log_likelihood - trial.fit.log_likelihood
-    found = replace(found, fit=fit, delta_bic=trial.delta_bic - 2.0 * gained)
-    return replace(found, size=_sizewith_error(found, prior))
+    sized = replace(sized, fit=fit, delta_bic=trial.delta_bic - 2.0 * gained)
+    return replace(sized, size=_size_of_error(sized, prior))
 
 
 def with_error(trial: TrialFit, error: ModelError) -> TrialFit:
@@ -353,7 +348,7 @@ def with_error(trial: TrialFit, error: ModelError) -> TrialFit:
     )
 
 
-def _sizewith_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
+def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
     """What the readings say of the size of the error of a trial's model."""
     parameters = trial.problem.parameters
     information = np.array([p.sigma**-2.0 for p in parameters])
@@ -370,7 +365,7 @@ def _declared_problem(
     interval = float(np.median(np.diff(whole.record.time_s)))
     # Clocks of two recorders never agree exactly, and an unstated skew is estimated as an effect: some room for it
     # belongs to the model without effects.
-    agreement_s = min(AGREEMENT * interval, SKEW_SPAN_S)
+    agreement_s = min(0.25 * interval, SKEW_SPAN_S)
     clock = {} if CLOCK_SKEW.name in whole.names else {CLOCK_SKEW.name: clock_prior(record, agreement_s)}
     options = FitOptions(
         effects=before.problem.options.effects,
