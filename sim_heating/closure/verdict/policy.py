@@ -67,23 +67,20 @@ class Policy:
         "A cause, or one more, has to be better than none by this.",
         "called very strong evidence by Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773")  # fmt: skip
     min_gain_over_adequate: float = rule(30.0, "BIC",
-        "The same where the declared model explains the record: errors of form give any effect some gain.")  # fmt: skip
+        "A cause gains this over a model that explains the record: errors of form give some gain.")  # fmt: skip
     min_gain_of_further: float = rule(6.0, "BIC", "One cause more gains this over every model with fewer.")
     max_causes: int = rule(3, "1", "Causes of a model at most.")
     min_explained: float = rule(0.5, "1",
         "Part of the remaining excess chi-square that a cause, or one more, or a curve, has to explain.")  # fmt: skip
     min_explained_over_first: float = rule(0.1, "1",
         "Chi-square that a further cause explains over that of the first: another form of it leaves less.")  # fmt: skip
-    min_explained_by_library: float = rule(
-        0.9,
-        "1",
-        "Part of the excess that a library's form explains before it is given a free one, which follows all.",
-    )
+    min_explained_by_library: float = rule(0.9, "1",
+        "Part of the excess that a library's form explains before a free one is tried, which follows all.")  # fmt: skip
     odds_apart: float = rule(20.0, "1",
         "Hypotheses with smaller odds between them cannot be told apart, nor does an experiment do so.",
         "the usual level of 5 %")  # fmt: skip
     twin_margin: float = rule(40.0, "BIC",
-        "The same for physical twins, which an error of the model's form tells apart, not the record.")  # fmt: skip
+        "Twins with scores this near are told apart by an error of the model's form, not by the record.")  # fmt: skip
     reported_excess: float = rule(0.2, "1", "Excess chi-square from which on the residual of a finding is reported.")
 
     # how sure it is
@@ -104,7 +101,9 @@ class Policy:
         "What a prediction may be wrong by, and a candidate that is fitted on behind the best.")  # fmt: skip
     min_of_best: float = rule(0.5, "1",
         "Part of the best gain with which one that may be one of two causes, or a rival, is fitted on.")  # fmt: skip
-    min_of_adequate: float = rule(0.85, "1", "The same where the best explains the record to its noise.")
+    min_of_adequate: float = rule(
+        0.85, "1", "Part of the best gain with which a rival of a model that explains the record is fitted on."
+    )
     rival_margin: float = rule(30.0, "log likelihood",
         "Distance from the best gain within which a candidate is a rival in any case.")  # fmt: skip
 
