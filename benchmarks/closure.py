@@ -80,7 +80,7 @@ def make_and_close(task: tuple[int, int, str]) -> bytes:
         "after": after, "truth": answer["true_rmse_K"], "known": known,
         "rounds": [
             {
-                "excess_chi2": r.excess_chi2,
+                "excess_chi2": r.base.excess_chi2,
                 "trials": [[t.name, t.delta_bic, t.score, t.excess_chi2] for t in r.trials[:4]],
             }
             for r in found.rounds
@@ -117,7 +117,7 @@ def search_of_effect(found: SearchResult, effect: str) -> SearchResult:
     best = refine(base, one.trials, one.tried, one.predicted)[:1]
     if not best:
         return found
-    known = hypothesis([best[0].trial], one.forms)
+    known = hypothesis([best[0]], one.forms)
     return replace(found, rounds=(one,), conclusion=Conclusion("found", known, (), 0.0))
 
 

@@ -4,7 +4,7 @@
     python -m benchmarks.closure_calibration --write    # and the calibration that close-loop states, and the diagram
 
 Adequacy: the statistics of records that lack nothing, as declared, are those of true models. Probability: its form is
-that of sim_heating/closure/search/calibration.py; b maximises the likelihood with a normal prior of PRIOR_SIGMA on all
+that of sim_heating/closure/verdict/calibration.py; b maximises the likelihood with a normal prior of PRIOR_SIGMA on all
 but the constant. Reliability is judged on groups (a class, a flight, a wall, a random half) with b of all the others.
 """
 
@@ -22,15 +22,9 @@ from benchmarks.closure_challenge import finished, is_right, is_statement, relia
 from benchmarks.measure import RESULTS, save
 from sim_heating.base.files import read_json, write_json
 from sim_heating.base.report.figure import new_figure, save_figure
-from sim_heating.closure.search.adequacy import p_value
-from sim_heating.closure.search.calibration import (
-    CALIBRATION,
-    FEATURES,
-    Stated,
-    logistic,
-    probability_by,
-    true_statistics,
-)
+from sim_heating.closure.verdict.adequacy import p_value
+from sim_heating.closure.verdict.calibration import CALIBRATION, FEATURES, logistic, probability_by, true_statistics
+from sim_heating.closure.verdict.calibration import features as features_of
 
 FloatArray = NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -45,7 +39,7 @@ DIAGRAM = RESULTS.parents[1] / "docs" / "images" / "closure_reliability.png"
 
 def features(row: Row) -> FloatArray:
     """(feature,) of a finding."""
-    return Stated(
+    return features_of(
         row["finding"],
         row.get("rival") or 0.0,
         row["p_value"],
@@ -53,7 +47,7 @@ def features(row: Row) -> FloatArray:
         len(row["alternatives"]),
         row.get("disqualified", 0.0),
         row.get("no_effect", False),
-    ).features
+    )
 
 
 def statistics_of_truth(rows: Sequence[Row]) -> FloatArray:

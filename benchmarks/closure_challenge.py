@@ -199,7 +199,7 @@ def used_for_probability(found: SearchResult) -> dict[str, Any]:
     """What a calibration of the probability may use; causes that are no effect, in words, by kind."""
     conclusion = found.conclusion
     causes = {h.names[0]: h.kind for h in found.hypotheses if h.kind not in ("", "effect")}
-    kinds = {h.change.describe(): h.kind for h in found.hypotheses if h.change is not None}
+    kinds = {h.change.describe(h.changed.value): h.kind for h in found.hypotheses if h.change and h.changed}
     return {
         "rival": conclusion.rival, "explained": conclusion.explained, "disqualified": conclusion.disqualified,
         "no_effect": conclusion.best.kind not in ("", "effect"), "statistic": conclusion.best.adequacy.statistic,

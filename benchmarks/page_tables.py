@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.end_to_end import Result, counted_of
 from benchmarks.measure import RESULTS
 from benchmarks.page import markdown_table
-from sim_heating.closure.statement import LEAST_P_VALUE
+from sim_heating.closure.verdict.policy import POLICY
 
 TILES = ("468", "480", "597", "730")
 MISSED = 0.4
@@ -426,7 +426,7 @@ def findings_tiles(results: Results) -> str:
 
 
 def _p_value(row: Mapping[str, Any]) -> str:
-    return f"{row['p_value']:.2f}" if row["p_value"] >= LEAST_P_VALUE else "below 1e-6"
+    return f"{row['p_value']:.2f}" if row["p_value"] >= POLICY.min_p_value else "below 1e-6"
 
 
 TABLES: Mapping[str, Callable[[Results], str]] = {

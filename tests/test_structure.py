@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
@@ -52,6 +53,19 @@ def test_no_subfolders_import_each_other_in_a_circle():
         TopologicalSorter(graph).prepare()
     except CycleError as circle:
         pytest.fail("\n".join(f"{b} imports {a}" for a, b in pairwise(circle.args[1])))
+
+
+def test_closing_a_loop_imports_no_page():
+    """Pages stand above what they show; what writes them imports them when it writes."""
+    pages = {f"sim_heating.closure.{n}" for n in ("report", "plots", "several.joint_report", "several.batch_page")}
+    wrong = [
+        f"{name} imports {node.module}"
+        for name in set(modules()) - pages
+        if folder(name) == "closure" and not name.startswith("sim_heating.closure.revise")
+        for node in ast.parse(modules()[name].read_text()).body
+        if isinstance(node, ast.ImportFrom) and (node.module in pages or "base.report" in str(node.module))
+    ]
+    assert not wrong, "\n".join(wrong)
 
 
 def test_no_folder_has_more_entries_than_a_reader_takes_in():

@@ -17,8 +17,7 @@ from typing import Any
 
 from sim_heating.base.files import read_json
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
-from sim_heating.closure.report import NAME
-from sim_heating.closure.statement import FOUND, NONE, ONE_OF
+from sim_heating.closure.result import FOUND, NAME, NONE, ONE_OF
 from sim_heating.heating.effects import EffectUse, effects, use
 
 SKEW = "time-skew"

@@ -23,7 +23,7 @@ from sim_heating.cli.console import (
 from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
-    from sim_heating.closure.report import Closure, ParameterEstimate
+    from sim_heating.closure.result import Closure, ParameterEstimate
 
 
 @click.command("close-loop")
@@ -97,8 +97,9 @@ def _close_jointly(directories: list[Path], out: Path, parameters: tuple[str, ..
     """Close the loop on each record and on all together, write the files, and print what each adds."""
     from sim_heating.base.files import require_writable
     from sim_heating.closure.close import FILES
+    from sim_heating.closure.result import JOINT_FILES
     from sim_heating.closure.several.batch import summary_row
-    from sim_heating.closure.several.joint import JOINT_FILES, close_loops, write_joint_loop
+    from sim_heating.closure.several.joint import close_loops, write_joint_loop
     from sim_heating.closure.several.joint_report import evidence_table
     from sim_heating.inputs.record import load_records
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError, or_left_out
 from sim_heating.base.files import files_written, output_directory
@@ -20,12 +21,7 @@ from sim_heating.base.parallel.threads import one_thread
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, MODEL, SENSOR_PREFIX, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
-from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
-from sim_heating.closure.curves import curve_of
-from sim_heating.closure.prior.findings import table_error, table_findings
-from sim_heating.closure.prior.model_error import SmoothFlightError
-from sim_heating.closure.prior.table import table_prior
-from sim_heating.closure.record_checks import (
+from sim_heating.closure.clues.record_checks import (
     TRAJECTORY,
     DataFault,
     clock_fault,
@@ -33,18 +29,33 @@ from sim_heating.closure.record_checks import (
     start_fault,
     with_noise,
 )
-from sim_heating.closure.report import FILES as REPORT_FILES
-from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
-from sim_heating.closure.search.calibration import Stated, false_alarm_statement, probability
-from sim_heating.closure.search.changes.record_change import ENDS_MOVED, ChangeFit
+from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
+from sim_heating.closure.curves import curve_of
+from sim_heating.closure.prior.findings import table_error, table_findings
+from sim_heating.closure.prior.model_error import SmoothFlightError
+from sim_heating.closure.prior.table import table_prior
+from sim_heating.closure.result import FILES as REPORT_FILES
+from sim_heating.closure.result import (
+    NONE,
+    PARTLY,
+    UNKNOWN,
+    Barred,
+    CandidateScore,
+    Closure,
+    Finding,
+    NotEffect,
+    ParameterEstimate,
+    Statement,
+)
+from sim_heating.closure.search.changes.record_change import ENDS_MOVED
 from sim_heating.closure.search.hypothesis import Conclusion, Hypothesis
 from sim_heating.closure.search.ranking import posteriors
-from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.tell_apart import tell_apart
 from sim_heating.closure.search.trials.told_error import told_error
 from sim_heating.closure.search.trials.trial_fit import (
+    CONVERGE,
     QUICK,
     WIDENED,
     TrialFit,
@@ -53,7 +64,8 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_values,
     sample_count,
 )
-from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, Barred, NotEffect, ParameterEstimate, Statement
+from sim_heating.closure.verdict.calibration import false_alarm_statement, features, probability
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import FitResult, estimate, fit_problem, predict_fit
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.outliers import outlier_lines, without_outliers
@@ -79,20 +91,6 @@ COMMAND = "close-loop"
 """Name under which its results are listed."""
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
-MIN_SAMPLES = 10
-"""Times of readings below which any effect would explain the residual."""
-LEAST_PROBABILITY = 0.5
-"""Probability of a finding below which it is not stated."""
-LEAST_FOR_PROBABILITY = 30
-"""Fitted readings below which no probability is given: none of the records that it was counted on had so few."""
-SEARCH_FRACTION = 0.8
-"""Fraction of the time that the search takes."""
-EXPLAINED_BY_CURVE = 0.5
-"""Part of the excess chi-square that a curve may leave to be reported."""
-MOST_BARRED = 5
-"""Models that may not be named, which are listed at most."""
-REPORTED_EXCESS = 0.2
-"""Excess chi-square from which on the residual of the added effects is reported."""
 REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=QUICK.trust_radius)
 """Convergence of the last fit: far within its bounds; no step is longer than those of the search."""
 SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain", "tau_s": "tau_s", "drift": "drift_K_s"}
@@ -153,8 +151,9 @@ def close_loop(
     """
     record = load_record(record)
     times = int(np.count_nonzero(record.read_mask))
-    if times < MIN_SAMPLES:
-        raise InputError(f"{record.name}: readings at {times} time(s); close-loop needs {MIN_SAMPLES} at least")
+    if times < POLICY.min_reading_times:
+        needed = f"close-loop needs {POLICY.min_reading_times} at least"
+        raise InputError(f"{record.name}: readings at {times} time(s); {needed}")
     # On a clock in another unit every candidate would be fitted to the wrong flight.
     of_clock = clock_fault(record)
     if of_clock is not None:
@@ -165,8 +164,8 @@ def close_loop(
         progress(0.0, line)
     record, of_noise = with_noise(record)
     notes = [*averaged, *outlier_lines(outliers, {record.name: record}), *of_noise]
-    result = _stated(search_effects(record, parameters, progress=lambda f, text: progress(SEARCH_FRACTION * f, text)))
-    progress(SEARCH_FRACTION, "refitting with the effects found; residual as heating")
+    result = _stated(search_effects(record, parameters, progress=lambda f, text: progress(0.8 * f, text)))
+    progress(0.8, "refitting with the effects found; residual as heating")
     tasks: list[Callable[[], Any]] = [
         partial(_refitted, result), partial(_residual_after, result.before), partial(_before, result),
     ]  # fmt: skip
@@ -192,14 +191,14 @@ def _samples(result: SearchResult, outliers: int) -> dict[str, Any]:
 def _few_samples(samples: Mapping[str, Any]) -> list[str]:
     """Lines on readings that are left out, and on too few of them."""
     words, count = samples_in_words(samples), samples["fit"]
-    few = f"{count} readings are fitted, and below {LEAST_FOR_PROBABILITY} no probability is given"
-    return [line for line in (words, few if count < LEAST_FOR_PROBABILITY else "") if line]
+    few = f"{count} readings are fitted, and below {POLICY.min_samples_for_probability} no probability is given"
+    return [line for line in (words, few if count < POLICY.min_samples_for_probability else "") if line]
 
 
 def _stated(result: SearchResult) -> SearchResult:
     """The result of a search, whose finding is stated where it is rather right than wrong."""
     found = probability_of(result)
-    if not result.explained or found is None or found >= LEAST_PROBABILITY:
+    if not result.explained or found is None or found >= POLICY.min_probability:
         return result
     return replace(result, conclusion=replace(result.conclusion, finding=PARTLY, improbable=found))
 
@@ -207,27 +206,28 @@ def _stated(result: SearchResult) -> SearchResult:
 def _refitted(result: SearchResult) -> tuple[FitResult, Prediction, ResidualHeating | None]:
     """The last fit, its plain prediction, and where a cause was found what is missing after it."""
     fitted = refit(result)
-    return fitted, _plain(fitted), _residual_after(fitted) if result.explained else None
+    return fitted, plain_predictions(fitted)[0], _residual_after(fitted) if result.explained else None
 
 
 def _before(result: SearchResult) -> Prediction:
     """The plain prediction of the declared model, as that of the last fit is made."""
-    return _plain(_declared(result))
+    return plain_predictions(_declared(result))[0]
 
 
-def _plain(fitted: FitResult) -> Prediction:
-    """The plain march of a fit, whose model has no smooth error of the heating.
+def plain_predictions(fitted: FitResult) -> Sequence[Prediction]:
+    """By record, the plain march of a fit, whose model has no smooth error of the heating.
 
     Where the fit has one, the model is fitted once more without it: its parameters, the flight and slow noise are free
     as before. What errors are told of is then not left to an error that no march has.
     """
     problem = fitted.problem.without_heating_error()
     if problem is fitted.problem:
-        return fitted.after[0]
+        return fitted.after
     fit = maximise_together([problem], [fitted.fit.values], CONVERGE)[0]
     if not np.isfinite(fit.log_likelihood):
-        return fitted.after[0]
-    return predict_fit(problem.record_fits[0], fit.values, problem.errors(fit.values)[0])
+        return fitted.after
+    errors = problem.errors(fit.values)
+    return [predict_fit(part, fit.values, u) for part, u in zip(problem.record_fits, errors, strict=True)]
 
 
 def _declared(result: SearchResult) -> FitResult:
@@ -276,14 +276,16 @@ def refit(result: SearchResult) -> FitResult:
     best = result.compared
     if best is result.none:
         return _declared(result)
-    record = result.record if best.change is None else best.change.change.apply(result.record, best.change.value)
-    if best.change is not None and not best.added:
-        return declared_fit(record, [*result.before.labels, *best.change.change.free] or None)
+    record, change = result.record, best.change
+    if best.changed is not None and change is not None:
+        record = change.apply(record, best.changed.value)
+    if change is not None and not best.added:
+        return declared_fit(record, [*result.before.labels, *change.free] or None)
     last = best.last
     if not _is_exact(last):
         return _with_error(record, last)
     part = last.problem.record_fits[0]
-    in_model = [] if best.change is None or not best.change.change.in_model else best.change.estimates
+    in_model = best.changed.estimates if best.changed is not None and change is not None and change.in_model else []
     return estimate(
         [record],
         [n for n in part.names if n not in in_model],
@@ -324,10 +326,7 @@ def _closure(
     notes     : on the record; they come first of its warnings
     """
     before, (residual, residual_after) = result.before, residuals
-    estimated = {
-        u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
-        for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
-    }
+    estimated = estimates_of(fitted.problem, fitted.fit, fitted.bounds.sigma)
     not_effects = _not_effects(result)
     faults = [fault for fault in [start_fault(result.record)] if fault is not None]
     faults += [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
@@ -362,7 +361,7 @@ def _closure(
 def _curve(result: SearchResult) -> CurveBand | None:
     """The curve that an unexplained residual follows; None where it explains less than half of it."""
     found = result.curve
-    if found is None or found.excess_chi2 > EXPLAINED_BY_CURVE * result.none.excess_chi2:
+    if found is None or found.excess_chi2 > POLICY.min_explained * result.none.excess_chi2:
         return None
     return curve_of(found)
 
@@ -398,29 +397,33 @@ def _resembles(result: SearchResult) -> list[str]:
     return [_in_words(result, name) for name in result.compared.names]
 
 
-def _barred(result: SearchResult) -> list[Barred]:
-    """Models that fit better than the best that may be named, with the reason for which they may not be."""
+def _barred(result: SearchResult, *, most_barred: int = 5) -> list[Barred]:
+    """Models that fit better than the best that may be named, with the reason for which they may not be.
+
+    most_barred : models that may not be named, which are listed at most
+    """
     best, seen = result.compared, dict[tuple[str, ...], Barred]()
     for h in sorted(result.hypotheses, key=lambda h: h.score):
         gain = 0.5 * (best.score - h.score)
         if not h.admissible and np.isfinite(h.score) and gain > 0.0:
             seen.setdefault(h.names, Barred(h.names, "; ".join(h.objections), gain))
-    return list(seen.values())[:MOST_BARRED]
+    return list(seen.values())[:most_barred]
 
 
 def probability_of(result: SearchResult) -> float | None:
     """Calibrated probability that the finding of a search is right; None where it states nothing.
 
     Nor is there one for a record whose model has an error, no findings on such records having been counted yet, or for
-    one with fewer than LEAST_FOR_PROBABILITY readings.
+    one with fewer than `Policy.min_samples_for_probability` readings.
     """
-    few = sample_count(result.none.last.problem) < LEAST_FOR_PROBABILITY
-    return probability(stated_of(result.conclusion)) if _is_exact(result.none.last) and not few else None
+    few = sample_count(result.none.last.problem) < POLICY.min_samples_for_probability
+    conclusion = result.conclusion
+    return probability(conclusion.finding, features_of(conclusion)) if _is_exact(result.none.last) and not few else None
 
 
-def stated_of(found: Conclusion) -> Stated:
-    """What the probability of a conclusion follows from."""
-    return Stated(
+def features_of(found: Conclusion) -> FloatArray:
+    """(feature,) what the probability of a conclusion follows from [-]."""
+    return features(
         found.finding,
         found.rival,
         found.best.adequacy.p_value,
@@ -463,14 +466,14 @@ def _alternative_values(result: SearchResult) -> dict[str, dict[str, ParameterEs
 def _values_of(found: Hypothesis, name: str) -> dict[str, ParameterEstimate]:
     """Estimates of a cause of a hypothesis by their names within it."""
     estimated = estimates_of(found.last.problem, found.last.fit)
-    if found.change is not None and found.change.change.name == name:
-        return change_parameters(found.change, estimated)
+    if found.changed is not None and found.change is not None and found.change.name == name:
+        return change_parameters(found.changed, estimated)
     return effect_parameters(next(t for t in found.trials if t.name == name), estimated)
 
 
-def estimates_of(problem: FitProblem, fit: Fit) -> dict[str, ParameterEstimate]:
-    """The estimates of a fit by label, with the bounds of its information."""
-    pairs = zip(problem.unknowns, fit.values, fit.sigma, strict=True)
+def estimates_of(problem: FitProblem, fit: Fit, sigma: FloatArray | None = None) -> dict[str, ParameterEstimate]:
+    """The estimates of a fit by label, by default with the bounds of its information."""
+    pairs = zip(problem.unknowns, fit.values, fit.sigma if sigma is None else sigma, strict=True)
     return {u.label: ParameterEstimate(float(v), float(s), u.parameter.unit) for u, v, s in pairs}
 
 
@@ -508,10 +511,10 @@ def _left_out(result: SearchResult) -> list[NotEffect]:
 
 def _causes(found: Hypothesis) -> list[NotEffect]:
     """Causes of a hypothesis that are no effect, with their estimates."""
-    causes, change = [], found.change
-    if change is not None and not change.change.effect:
-        own = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in change.estimates.items()}
-        causes.append(NotEffect(found.kind, change.describe(), own))
+    causes, change, changed = [], found.change, found.changed
+    if change is not None and changed is not None and not change.effect:
+        own = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in changed.estimates.items()}
+        causes.append(NotEffect(found.kind, change.describe(changed.value), own))
     last = found.last
     for trial in found.trials:
         if trial.name == TABLE:
@@ -541,7 +544,7 @@ def _forms(result: SearchResult) -> list[str]:
 def _residual_warning(result: SearchResult, residual: ResidualHeating | None) -> list[str]:
     """A line on the residual of what was found, where it is more than noise."""
     best = result.conclusion.best
-    if residual is None or best.excess_chi2 < REPORTED_EXCESS:
+    if residual is None or best.excess_chi2 < POLICY.reported_excess:
         return []
     size = math.sqrt(1.0 + best.excess_chi2)
     return [
@@ -558,21 +561,23 @@ def _findings(result: SearchResult, estimated: Mapping[str, ParameterEstimate]) 
         name = result.names[0]
         return [Finding(name, shares[NONE] if name == NONE else 1.0 - shares[NONE], {})]
     share = shares[" + ".join(best.names)]
-    of_change = [best.change] if best.change is not None and best.change.change.effect else []
+    of_change = [best.changed] if best.changed is not None and best.change is not None and best.change.effect else []
     return [
-        *(Finding(f.change.effect, share, change_parameters(f, estimated)) for f in of_change),
+        *(Finding(f.change.effect, share, change_parameters(f, estimated)) for f in of_change if f.change),
         *(Finding(t.name, share, effect_parameters(t, estimated), _sensor_of(t)) for t in result.added),
     ]
 
 
-def change_parameters(found: ChangeFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
+def change_parameters(fit: TrialFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
     """The estimates of a change that is an effect: its own, those of the model's parameters that are estimated with it,
     and its ends, to the last step of their search."""
-    own = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in found.estimates.items()}
-    own |= {n.rpartition(".")[2]: estimated[n] for n in found.change.free if n in estimated}
-    values = [value for value, _ in found.change.ends.values()]
+    change = fit.change
+    assert change is not None
+    own = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in fit.estimates.items()}
+    own |= {n.rpartition(".")[2]: estimated[n] for n in change.free if n in estimated}
+    values = [value for value, _ in change.ends.values()]
     step = ENDS_MOVED[-1] * (max(values, default=0.0) - min(values, default=0.0))
-    return own | {name: ParameterEstimate(value, step, unit) for name, (value, unit) in found.change.ends.items()}
+    return own | {name: ParameterEstimate(value, step, unit) for name, (value, unit) in change.ends.items()}
 
 
 def effect_parameters(trial: TrialFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
@@ -603,7 +608,7 @@ def _candidate_scores(result: SearchResult) -> list[CandidateScore]:
     shares = posteriors({name: h.score for name, h in scored.items() if h.admissible} | {NONE: 0.0})
     rows = [(NONE, 0.0, result.none.last)]
     rows += [
-        (h.names[0], h.last.delta_bic if h.change is None else h.change.delta_bic, h.last) for h in scored.values()
+        (h.names[0], h.last.delta_bic if h.changed is None else h.changed.delta_bic, h.last) for h in scored.values()
     ]
     rows += [(t.name, t.delta_bic, t) for t in first.trials if t.name not in scored]
     rows += [
@@ -655,6 +660,8 @@ def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[s
 
     returns : names of closure.json, report.html, residual_heating.csv, and the last fit's estimate.json with its files
     """
+    from sim_heating.closure.report import write_closure  # pages are above what is computed
+
     with output_directory(out, COMMAND, inputs=[closed.report.record.directory]) as folder:
         no_draws: list[Callable[[], object]] = []
         draws = or_left_out(lambda: write_fit_data(closed.fitted, _contents(closed), folder), no_draws, NAME)

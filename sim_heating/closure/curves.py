@@ -17,54 +17,44 @@ from sim_heating.base.files import write_csv
 from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.screening import fit_in_stages, predicted_gains
-from sim_heating.closure.search.trials.trial_fit import (
-    TrialFit,
-    fitted_values,
-    held_out_problem_with,
-    problem_with,
-    start_values,
-)
+from sim_heating.closure.search.trials.trial_fit import TrialFit, held_out_problem_with
 from sim_heating.heating.effects.curve import CURVE, FIRST, TIME, VARIABLE, VARIABLES, CurveBand, curve_band
 from sim_heating.inputs.points import conditions_of_record
 
 NAME = "curve.csv"
 """File of a curve beside a closure report."""
-MIN_GAIN_SHARE = 0.1
-"""Part of the best predicted gain below which a curve is not fitted."""
-LEFT_BY_TIME = 0.5
-"""Excess chi-square that a curve in time may leave at most, over the least of the other variables, to be preferred."""
-POINTS = 61
-"""Points of a curve in its file, ten between two knots."""
 
 
-def curve_trials(base: TrialFit, taken: Sequence[str] = ()) -> list[TrialFit]:
+def curve_trials(base: TrialFit, taken: Sequence[str] = (), *, min_gain_share: float = 0.1) -> list[TrialFit]:
     """A curve in each variable on top of a model, the best first.
 
     taken   : names of the effects in the model
     returns : trials, by BIC and the segments held out, each over the chi-square of the best; empty where a curve is in
               the model already. Time comes first only where it leaves less than half of what any other variable does:
               any residual is a function of time.
+
+    min_gain_share : part of the best predicted gain below which a curve is not fitted
     """
     record = base.problem.record_fits[0].record
     flown = conditions_of_record(record)
     everything = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken, last_resort=True)
     tried = [c for c in everything if c.name == CURVE]
     gains = predicted_gains(base, tried)
-    least = MIN_GAIN_SHARE * max(gains, default=0.0)
+    least = min_gain_share * max(gains, default=0.0)
     chosen = [(c, gain) for c, gain in zip(tried, gains, strict=True) if gain > least]
-    problems, start = [problem_with(base, c) for c, _ in chosen], fitted_values(base)
-    firsts = [start_values(p, {**start, **c.start}) for p, (c, _) in zip(problems, chosen, strict=True)]
-    fits = fit_in_stages(problems, firsts, base.fit.log_likelihood, [gain for _, gain in chosen])
-    trials = [
-        TrialFit(c.name, c, problem, held_out_problem_with(base, c), fit)
-        for (c, _), problem, fit in zip(chosen, problems, fits, strict=True)
-        if np.isfinite(fit.log_likelihood)
-    ]
-    return _ranked(base, trials)
+    fits = fit_in_stages(
+        [base] * len(chosen), [c for c, _ in chosen], [gain for _, gain in chosen], base.fit.log_likelihood
+    )
+    fits = [t for t in fits if np.isfinite(t.fit.log_likelihood)]
+    return _ranked(base, [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in fits])
 
 
-def _ranked(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:
-    """Trials with their scores, the best first and time as `curve_trials` states."""
+def _ranked(base: TrialFit, trials: Sequence[TrialFit], *, max_excess_of_time: float = 0.5) -> list[TrialFit]:
+    """Trials with their scores, the best first and time as `curve_trials` states.
+
+    max_excess_of_time : excess chi-square that a curve in time may leave at most, over the least of the other
+        variables, to be preferred
+    """
     if not trials:
         return []
     c = max(1.0, 1.0 + min(t.excess_chi2 for t in trials))
@@ -78,7 +68,7 @@ def _ranked(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:
     others = [t for t in scored if not _is_in_time(t.candidate)]
     if others and _is_in_time(scored[0].candidate):
         least = min(max(t.excess_chi2, 0.0) for t in others)
-        if scored[0].excess_chi2 > LEFT_BY_TIME * least:
+        if scored[0].excess_chi2 > max_excess_of_time * least:
             return [*others, scored[0]]
     return scored
 
@@ -88,7 +78,7 @@ def _is_in_time(candidate: Candidate) -> bool:
     return used.values[VARIABLE] == TIME
 
 
-def curve_of(trial: TrialFit, points: int = POINTS) -> CurveBand:
+def curve_of(trial: TrialFit, points: int = 61) -> CurveBand:
     """The curve of a trial with its standard deviation, at even points from its first knot to its last.
 
     It is 0 at the reference condition of the fit; at the middle of its knots where that has not its variable.

@@ -30,9 +30,6 @@ COMPARED = "Each used sensor with its residuals below (measured minus predicted)
 ACTIVE = "#f9dcdc"
 """Colour of the time in which a residual is active."""
 SIGMAS = 2.0
-MAX_SIGMA_RATIO = 4.0
-"""Points of a sigma above this many times the median are not drawn against variables."""
-MAX_PANELS, MAX_LOOPS = 6, 3
 
 
 def comparison_figure(predicted: Prediction | None, before: Prediction, after: Prediction, effect: str) -> Figure:
@@ -124,19 +121,24 @@ def _limits(residual: ResidualHeating) -> tuple[float, float]:
     return low - 0.08 * (high - low), high + 0.08 * (high - low)
 
 
-def _well_determined(residual: ResidualHeating) -> NDArray[np.bool_]:
-    """(knot,) fitted knots whose sigma is not far above the median."""
+def _well_determined(residual: ResidualHeating, *, max_sigma_ratio: float = 4.0) -> NDArray[np.bool_]:
+    """(knot,) fitted knots whose sigma is not far above the median.
+
+    max_sigma_ratio : points of a sigma above this many times the median are not drawn against variables
+    """
     fitted = residual.fitted
-    return np.asarray(fitted & (residual.sigma <= MAX_SIGMA_RATIO * np.median(residual.sigma[fitted])))
+    return np.asarray(fitted & (residual.sigma <= max_sigma_ratio * np.median(residual.sigma[fitted])))
 
 
-def variables_figure(residual: ResidualHeating, variables: Mapping[str, FloatArray], order: Sequence[str]) -> Figure:
+def variables_figure(
+    residual: ResidualHeating, variables: Mapping[str, FloatArray], order: Sequence[str], *, max_panels: int = 6
+) -> Figure:
     """The residual heating against each variable, coloured by time.
 
     variables : (knot,) by name;  order : names, those that explain most first
     """
     shown = _well_determined(residual)
-    names = [n for n in order if n in variables and n != TIME and np.ptp(variables[n][shown]) > 0.0][:MAX_PANELS]
+    names = [n for n in order if n in variables and n != TIME and np.ptp(variables[n][shown]) > 0.0][:max_panels]
     columns = min(max(len(names), 1), 3)
     rows = max(-(-len(names) // columns), 1)
     figure, axes = new_figure(1.4 + 2.7 * columns, 2.7 * rows + 0.4, rows, columns, sharey=True, squeeze=False)
@@ -160,15 +162,15 @@ def variables_figure(residual: ResidualHeating, variables: Mapping[str, FloatArr
 
 
 def hysteresis_figure(
-    residual: ResidualHeating, variables: Mapping[str, FloatArray], evidence: ResidualEvidence
+    residual: ResidualHeating, variables: Mapping[str, FloatArray], evidence: ResidualEvidence, *, max_loops: int = 3
 ) -> Figure | None:
-    """The manoeuvres with the widest loops of the residual, at most MAX_LOOPS; None where none is significant."""
+    """The manoeuvres with the widest loops of the residual, at most `max_loops`; None where none is significant."""
     widest = sorted((loop for loop in evidence.loops if loop.significant), key=lambda loop: -abs(loop.filled))[
-        :MAX_LOOPS
+        :max_loops
     ]
     if not widest:
         return None
-    figure, axes = new_figure(9.5, 3.0, 1, MAX_LOOPS)
+    figure, axes = new_figure(9.5, 3.0, 1, max_loops)
     for a in axes[len(widest) :]:
         a.set_visible(False)
     for a, loop in zip(axes, widest, strict=False):

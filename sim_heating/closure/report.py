@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +24,9 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.clues.correlation import ResidualEvidence, flight_variables
+from sim_heating.closure.clues.correlation import flight_variables
 from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
-from sim_heating.closure.clues.residual_heating import ResidualHeating, write_residual_heating
-from sim_heating.closure.credibility import credibility_of_finding
+from sim_heating.closure.clues.residual_heating import write_residual_heating
 from sim_heating.closure.curves import NAME as CURVE_NAME
 from sim_heating.closure.curves import curve_words, write_curve
 from sim_heating.closure.plots import (
@@ -38,163 +36,11 @@ from sim_heating.closure.plots import (
     ranking_figure,
     variables_figure,
 )
-from sim_heating.closure.record_checks import DataFault
-from sim_heating.closure.statement import (
-    FOUND,
-    LEAST_ODDS,
-    NONE,
-    ONE_OF,
-    PARTLY,
-    UNKNOWN,
-    ParameterEstimate,
-    Statement,
-    finite,
-)
+from sim_heating.closure.result import NAME, NONE, PAGE, PARTLY, UNKNOWN, Closure, ParameterEstimate, Statement, finite
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
-from sim_heating.credibility.statement import Statement as Credibility
-from sim_heating.estimation.report.estimate_file import Remark
 from sim_heating.estimation.report.ratio_plot import derivatives_about
 from sim_heating.estimation.report.remarks import further_warnings
-from sim_heating.heating.effects.curve import CurveBand
-from sim_heating.inputs.record import Record
-from sim_heating.simulation.predict import Prediction
-
-NAME, PAGE = "closure.json", "report.html"
-FILES = (NAME, PAGE, HEATING_NAME, CURVE_NAME)
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A named effect, or "none" or "unknown".
-
-    name       : as in closure.json
-    posterior  : its share of the likelihood among the hypotheses, equal prior ones; a comparison, no calibrated
-                 probability
-    parameters : estimates by their names within the effect
-    sensor     : the thermocouple that the effect is of; None where it is of no single one
-    """
-
-    name: str
-    posterior: float
-    parameters: Mapping[str, ParameterEstimate]
-    sensor: str | None = None
-
-    @property
-    def title(self) -> str:
-        """The effect, with its sensor where it has one."""
-        return f"{self.name} of {self.sensor}" if self.sensor else self.name
-
-    def as_json(self) -> dict[str, Any]:
-        """Its entry in closure.json."""
-        sensor = {} if self.sensor is None else {"sensor": {"value": self.sensor, "sigma": None, "unit": ""}}
-        parameters = sensor | {n: p.as_json() for n, p in self.parameters.items()}
-        return {"name": self.name, "posterior": self.posterior, "parameters": parameters}
-
-
-@dataclass(frozen=True)
-class CandidateScore:
-    """One candidate of the first round.
-
-    delta_bic      : its BIC minus that of "none"
-    fit_rmse_K     : RMSE of the plain march over the fit segments [K]
-    holdout_rmse_K : over the segments held out [K]; None where there are none
-    posterior      : its probability, by its score
-    """
-
-    name: str
-    delta_bic: float
-    fit_rmse_K: float
-    holdout_rmse_K: float | None
-    posterior: float
-
-    def as_json(self) -> dict[str, Any]:
-        """Its entry in closure.json."""
-        return {n: value for n, value in asdict(self).items() if n != "posterior"}
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Closure:
-    """The result of closing the loop on one record.
-
-    predicted, before, after : declared model, None where it lacks a heating ratio; the same fitted; with effects added,
-                               `before` where none were
-    noise_floor_K : of the used sensors over the fit segments [K]
-    reference     : the ratio variables that the derivatives refer to
-    effects       : effects in the order in which they were added; a single "none" or "unknown" where there are none
-    candidates    : of the first round, "none" included
-    parameters    : all estimates of the last fit, by dotted names
-    residual, residual_after : residual heating after the derivatives, and after the effects
-    evidence      : on the cause of the first residual
-    statement     : the finding, its alternatives, its adequacy, and causes that are no effect
-    curve         : smooth factor on the heating that the residual follows, where nothing was found and it explains most
-    faults        : errors of the record itself
-    false_alarm   : chance of naming an effect where there is none, with its calibration
-    warnings      : on the fit and its residual
-    remarks       : on estimates that nature does not have, or that mean less than their sigma says
-    samples       : numbers of readings that the finding rests on, that were held out, and that were left out by reason
-    """
-
-    record: Record
-    predicted: Prediction | None
-    before: Prediction
-    after: Prediction
-    noise_floor_K: float
-    reference: Sequence[float]
-    effects: Sequence[Finding]
-    candidates: Sequence[CandidateScore]
-    parameters: Mapping[str, ParameterEstimate]
-    residual: ResidualHeating
-    residual_after: ResidualHeating | None
-    evidence: ResidualEvidence
-    statement: Statement
-    curve: CurveBand | None = None
-    faults: Sequence[DataFault] = ()
-    false_alarm: str = ""
-    warnings: Sequence[str] = ()
-    remarks: Sequence[Remark] = ()
-    samples: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def named(self) -> str:
-        """What was found, joined: the effects, else causes that are none; "unknown" or "none"."""
-        if self.added:
-            return self.statement.named
-        return self.effects[0].name
-
-    @property
-    def fitted_with(self) -> str:
-        """What the model after has and the one before has not: of a set, its first alone."""
-        named = [names[0] for names in self.statement.alternatives] if self.added else self.statement.resembles
-        return " + ".join(named)
-
-    @property
-    def added(self) -> bool:
-        """Whether a cause was found that the model after has, and the one before has not."""
-        return self.statement.finding in (FOUND, ONE_OF)
-
-    @property
-    def compared(self) -> bool:
-        """Whether errors after are of another model than those before, named as the cause or not."""
-        return self.after is not self.before
-
-    @cached_property
-    def credibility(self) -> Credibility:
-        """What supports the finding, factor by factor."""
-        return credibility_of_finding(
-            self.statement,
-            [self.after],
-            self.parameters,
-            self.reference,
-            self.after.segment_errors(),
-            faulty=bool(self.faults),
-        )
-
-    def __repr__(self) -> str:
-        errors = (p.segment_errors()["fit"]["rmse_K"] for p in (self.before, self.after))
-        fault = f", {self.faults[0].kind}" if self.faults else ""
-        before, after = (f"{e:.2f} K" for e in errors)
-        finding = f"{self.statement.in_short()}{fault}"
-        return f"<Closure of {self.record.name}: {finding}, RMSE {before} before, {after} after>"
 
 
 def closure_json(found: Closure) -> dict[str, Any]:
@@ -347,7 +193,7 @@ def tell_apart_section(statement: Statement) -> list[Section]:
     text = (
         f"Expected odds between the alternatives after one more {statement.experiment} like this one, with the change "
         "named: the same conditions, instruments and noise, and no other error of the model. Odds below "
-        f"{LEAST_ODDS:g} to 1 tell nothing apart."
+        f"{POLICY.odds_apart:g} to 1 tell nothing apart."
     )
     return [Section("What would tell them apart", [text], points=lines)]
 

@@ -126,7 +126,8 @@ def test_segments_held_out_distinguish_conduction_from_radiation_in_depth_better
             search_round(base_trial(estimate([r])), others, lambda fraction, text: None) for r in (record, without)
         )
         rounds = (alone, with_both)
-        log_odds.append([np.log(r.posterior["conductivity"] / r.posterior["radiative-conduction"]) for r in rounds])
+        scores = [{t.name: t.score for t in r.trials} for r in rounds]
+        log_odds.append([0.5 * (s["radiative-conduction"] - s["conductivity"]) for s in scores])
         gained = {a.name: a.delta_bic for a in alone.trials}
         assert all(a.delta_bic == pytest.approx(gained[a.name], abs=0.1) for a in with_both.trials[:2])
     mean = np.mean(log_odds, axis=0)

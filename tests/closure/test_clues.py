@@ -10,9 +10,10 @@ import pytest
 from scipy.stats import kstest
 
 from sim_heating.closure.clues.axial_force import axial_steps
-from sim_heating.closure.clues.correlation import SIGNIFICANCE_LEVEL, ResidualEvidence, residual_evidence
+from sim_heating.closure.clues.correlation import ResidualEvidence, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
 from sim_heating.closure.clues.shapes import candidate_shapes, p_value, profiled_information, trials_factor
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import Record
@@ -67,11 +68,11 @@ def test_an_error_of_the_table_makes_no_hysteresis_and_a_clock_error_does():
 
 def test_nothing_is_proposed_where_nothing_is_missing():
     _, found = residual_with("nothing")
-    assert found.p_value > SIGNIFICANCE_LEVEL
+    assert found.p_value > POLICY.significance
     assert found.active == ()
     assert found.proposal() == ["As heating, the residual is no more than noise: it follows no variable of the flight."]
     assert not any(loop.significant for loop in found.loops)
-    assert all(c.p_value_all > SIGNIFICANCE_LEVEL for c in found.correlations)
+    assert all(c.p_value_all > POLICY.significance for c in found.correlations)
 
 
 def test_active_spans_are_those_with_the_angle_beyond_the_onset():

@@ -13,12 +13,13 @@ from sim_heating.base.files import read_json
 from sim_heating.closure.close import ClosedLoop, close_loop
 from sim_heating.closure.curves import curve_trials
 from sim_heating.closure.report import write_closure
-from sim_heating.closure.search.adequacy import ADEQUATE, Adequacy, assess, p_value
+from sim_heating.closure.result import NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.hypothesis import Hypothesis, conclude
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import base_trial
-from sim_heating.closure.statement import NotEffect, ParameterEstimate, Statement
+from sim_heating.closure.verdict.adequacy import Adequacy, assess, p_value
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.newton import Status
 from sim_heating.heating.effects import use
@@ -91,7 +92,7 @@ def test_a_report_states_a_curve_and_its_file_and_has_neither_where_there_is_non
 def test_the_true_model_is_adequate_and_a_model_without_the_effect_is_not() -> None:
     record, _ = record_with([ONSET], 5)
     true, without = adequacy_of(record, [ONSET]), adequacy_of(record)
-    assert true.p_value > ADEQUATE
+    assert true.p_value > POLICY.adequate_p
     assert true.chi2_fit == pytest.approx(1.0, abs=0.1)
     assert abs(true.lag1) < 0.1
     assert without.p_value < 1e-3

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sim_heating.closure.close import change_parameters, refit
+from sim_heating.closure.result import ParameterEstimate
 from sim_heating.closure.search.changes.property_shapes import (
     CONDUCTIVITY,
     HEAT_CAPACITY,
@@ -21,7 +22,6 @@ from sim_heating.closure.search.changes.record_change import fit_changes
 from sim_heating.closure.search.hypothesis import change_hypothesis, conclude, hypothesis, scored
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit
-from sim_heating.closure.statement import ParameterEstimate
 from sim_heating.inputs.record import Record
 from sim_heating.thermal.mesh import layer_diffusivities
 from tests.closure.test_close_loop import simulated_record
@@ -72,7 +72,7 @@ def test_a_table_that_is_off_by_two_factors_is_recognised_by_them_and_the_last_f
     before = declared_fit(declared)
     base = base_trial(before)
     (found,) = fit_changes(base, own)
-    assert found.trial.excess_chi2 < 0.1
+    assert found.excess_chi2 < 0.1
     assert found.value == pytest.approx(-0.3, rel=0.3)
     assert [end for end, _ in found.change.ends.values()] == pytest.approx(span, rel=0.2)
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sim_heating.closure.clues.record_checks import clock_fault, magnitude_fault
 from sim_heating.closure.clues.residual_heating import residual_heating
-from sim_heating.closure.record_checks import clock_fault, magnitude_fault
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.record import Record
 from tests.support.walls import practice_record

@@ -11,9 +11,9 @@ import pytest
 
 from sim_heating.closure.search import refine as refining
 from sim_heating.closure.search.ranking import SearchRound, delta_bic, needed_log_likelihood
-from sim_heating.closure.search.refine import CONVERGE, Contender, refine
+from sim_heating.closure.search.refine import refine
 from sim_heating.closure.search.search import search_round
-from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, sample_count
+from sim_heating.closure.search.trials.trial_fit import CONVERGE, TrialFit, base_trial, declared_fit, sample_count
 from sim_heating.estimation.inference.newton import Fit, Status
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.record import load_record
@@ -45,16 +45,14 @@ class Fits:
         return found
 
 
-def refined(found: SearchRound) -> list[Contender]:
+def refined(found: SearchRound) -> list[TrialFit]:
     return refine(found.base, found.trials, found.tried, found.predicted)
 
 
-def same(a: Sequence[Contender], b: Sequence[Contender]) -> bool:
+def same(a: Sequence[TrialFit], b: Sequence[TrialFit]) -> bool:
     """Whether contenders are the same to the last bit."""
     return [k.name for k in a] == [k.name for k in b] and all(
-        np.array_equal(x.trial.fit.values, y.trial.fit.values)
-        and x.trial.delta_bic == y.trial.delta_bic
-        and x.objections == y.objections
+        np.array_equal(x.fit.values, y.fit.values) and x.delta_bic == y.delta_bic and x.objections == y.objections
         for x, y in zip(a, b, strict=True)
     )
 
@@ -67,7 +65,7 @@ def test_a_form_far_behind_one_that_may_be_named_ends_early_and_the_contenders_a
     behind = [fit for fit in fits.made if fit.status is Status.BEHIND]
     assert found[0].admissible
     assert behind
-    assert all(fit.log_likelihood < found[0].trial.fit.log_likelihood - 50.0 for fit in behind)
+    assert all(fit.log_likelihood < found[0].fit.log_likelihood - 50.0 for fit in behind)
 
     monkeypatch.setattr(refining, "_unless_behind", lambda *given: CONVERGE)
     early, fits.made = fits.made, []
@@ -77,7 +75,7 @@ def test_a_form_far_behind_one_that_may_be_named_ends_early_and_the_contenders_a
         whole = to_the_end[fit.history[0].tobytes()]
         assert whole.iterations > fit.iterations
         assert np.array_equal(whole.history[: fit.iterations + 1], fit.history)
-        assert whole.log_likelihood < found[0].trial.fit.log_likelihood - 50.0
+        assert whole.log_likelihood < found[0].fit.log_likelihood - 50.0
     assert len(early) == len(to_the_end)
 
 
@@ -101,7 +99,7 @@ def test_a_form_that_cannot_be_marched_where_it_starts_is_left_out(first_round: 
     unknown = {f"effect.{NAME}.slope": np.nan}
     tried = [c if c is led.candidate else replace(c, start={**c.start, **unknown}) for c in first_round.tried]
     found = refine(first_round.base, first_round.trials, tried, first_round.predicted)
-    assert [k.trial.candidate for k in found] == [led.candidate]
+    assert [k.candidate for k in found] == [led.candidate]
     assert found[0].admissible
 
 

@@ -7,14 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from sim_heating.closure.search.adequacy import ADEQUATE, assess
 from sim_heating.closure.search.ranking import count_forms
-from sim_heating.closure.search.refine import CONVERGE
-from sim_heating.closure.search.search import LIBRARY_SHARE
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.free_forms import free_form
 from sim_heating.closure.search.trials.screening import predicted_gains
 from sim_heating.closure.search.trials.trial_fit import (
+    CONVERGE,
     TrialFit,
     base_trial,
     declared_fit,
@@ -23,6 +21,8 @@ from sim_heating.closure.search.trials.trial_fit import (
     sample_count,
     start_values,
 )
+from sim_heating.closure.verdict.adequacy import assess
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import use
 from sim_heating.heating.effects.curve import ELEVON, KNOTS, VALUES
@@ -99,9 +99,9 @@ def test_an_effect_of_another_form_explains_the_record_with_a_curve_under_its_ow
     assert free is not None
     found = fitted_trial(base, free, fitted_values(own) | dict(free.start))
     assert found.name == "elevon-curvature"
-    assert 0.0 < own.excess_chi2 < (1.0 - LIBRARY_SHARE) * base.excess_chi2
-    assert assess(own.problem.samples(own.fit.values)).p_value < ADEQUATE
-    assert assess(found.problem.samples(found.fit.values)).p_value >= ADEQUATE
+    assert 0.0 < own.excess_chi2 < (1.0 - POLICY.min_explained_by_library) * base.excess_chi2
+    assert assess(own.problem.samples(own.fit.values)).p_value < POLICY.adequate_p
+    assert assess(found.problem.samples(found.fit.values)).p_value >= POLICY.adequate_p
 
 
 def fitted_trial(base: TrialFit, candidate: Candidate, start: Mapping[str, float]) -> TrialFit:

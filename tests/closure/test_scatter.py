@@ -13,9 +13,10 @@ from sim_heating.closure.search.admissibility import far_from_declared, objectio
 from sim_heating.closure.search.changes.flight_changes import time_shift
 from sim_heating.closure.search.changes.record_change import fit_changes
 from sim_heating.closure.search.hypothesis import change_hypothesis, conclude, hypothesis, scored
-from sim_heating.closure.search.ranking import MAX_SCATTER, scatter_price
+from sim_heating.closure.search.ranking import scatter_price
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import QUICK, TrialFit, base_trial, problem_with, start_values
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import use
@@ -48,8 +49,8 @@ def with_scatter(record: Record, sigma: float) -> Record:
 
 def test_a_price_grows_as_a_square_and_beyond_the_scatter_as_a_logarithm():
     assert scatter_price(3.0) == 9.0
-    below, above = scatter_price(MAX_SCATTER - 1e-6), scatter_price(MAX_SCATTER + 1e-6)
-    assert above - below == pytest.approx(2.0 * MAX_SCATTER * 2e-6, rel=1e-3)  # of one slope
+    below, above = scatter_price(POLICY.max_scatter_sigmas - 1e-6), scatter_price(POLICY.max_scatter_sigmas + 1e-6)
+    assert above - below == pytest.approx(2.0 * POLICY.max_scatter_sigmas * 2e-6, rel=1e-3)  # of one slope
     assert scatter_price(100.0) < 0.02 * 100.0**2
 
 

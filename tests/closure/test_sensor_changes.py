@@ -10,9 +10,10 @@ import pytest
 
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import Parameter
-from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange, fit_changes
+from sim_heating.closure.search.changes.record_change import fit_changes
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
-from sim_heating.closure.search.trials.trial_fit import base_trial
+from sim_heating.closure.search.trials.change import RecordChange
+from sim_heating.closure.search.trials.trial_fit import TrialFit, base_trial
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.inputs.record import Record, load_record
@@ -49,7 +50,7 @@ def with_sensors(record: Record, changed: dict[str, dict[str, object]]) -> Recor
     return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
 
 
-def found_in(record: Record) -> list[ChangeFit]:
+def found_in(record: Record) -> list[TrialFit]:
     base = base_trial(estimate([record]))
     return fit_changes(base, sensor_changes(base))
 
@@ -80,7 +81,7 @@ def stuck() -> np.ndarray:
 )
 def test_a_wrong_thermocouple_is_recognised(record, what):
     found = found_in(record)
-    assert what in found[0].describe()
+    assert what in found[0].change.describe(found[0].value)
     assert found[0].delta_bic < found[1].delta_bic - 100.0 if len(found) > 1 else found[0].delta_bic < -100.0
 
 
@@ -151,7 +152,7 @@ def plug(broken: Mapping[str, np.ndarray]) -> Record:
 @pytest.mark.thorough
 def test_a_jump_faster_than_heat_reaches_the_depth_is_told():
     jumping = with_readings(words=True, LS_bond=READ["LS_bond"] + 40.0 * (TIME_S > 600.0))
-    described = [f.describe() for f in found_in(jumping) if f.change.what == "LS_bond broken"]
+    described = [f.change.describe(f.value) for f in found_in(jumping) if f.change.what == "LS_bond broken"]
     assert described
     assert described[0].startswith("LS_bond broken: LS_bond jumps by +")
 
@@ -172,7 +173,7 @@ def test_a_gap_of_the_telemetry_and_a_declared_end_of_the_range_are_no_faults_of
 def test_one_broken_thermocouple_of_four_is_found_where_the_others_show_the_heating():
     best = found_in(plug({"T2": 20.0 * np.sin(TIME_S / 60.0)}))[0]
     assert best.change.what == "T2 broken"
-    assert best.describe().startswith("T2 broken: T2 wanders by 1")
+    assert best.change.describe(best.value).startswith("T2 broken: T2 wanders by 1")
 
 
 @pytest.mark.thorough
@@ -180,7 +181,7 @@ def test_two_broken_thermocouples_of_four_are_found_together():
     wandering = {"T2": 25.0 * np.sin(TIME_S / 60.0), "T3": 25.0 * np.sin(TIME_S / 37.0)}
     best = found_in(plug(wandering))[0]
     assert best.change.what in ("T2 and T3 broken", "T3 and T2 broken")
-    assert best.trial.excess_chi2 < 0.3
+    assert best.excess_chi2 < 0.3
 
 
 @pytest.mark.thorough
@@ -195,7 +196,8 @@ def test_readings_that_keep_still_while_no_other_sensor_moves_are_not_stuck():
 def test_a_thermocouple_that_is_clipped_before_its_noise_is_recognised():
     limit_K, noise = 1040.0, np.random.default_rng(2).normal(0.0, 1.0, len(TIME_S))
     clipped = np.where(READ["LS_surface"] > limit_K, limit_K + noise, READ["LS_surface"])
-    assert found_in(with_readings(LS_surface=clipped))[0].describe().startswith("LS_surface clipped at 1040 K")
+    best = found_in(with_readings(LS_surface=clipped))[0]
+    assert best.change.describe(best.value).startswith("LS_surface clipped at 1040 K")
 
 
 def test_a_change_that_cannot_be_marched_or_compared_is_left_out_and_ends_no_search():
@@ -248,16 +250,16 @@ def test_a_thermocouple_is_recognised_as_clipped_where_its_readings_begin_or_end
     record = clipped_at(name, limit_K, begin_s)
     segments = record.declared.segments.model_copy(update={"fit": [[begin_s, end_s]], "holdout": [[700.0, 750.0]]})
     best = found_in(replace(record, declared=record.declared.model_copy(update={"segments": segments})))[0]
-    said, _, level_K, *_ = best.describe().removeprefix(f"{name} ").split()
+    said, _, level_K, *_ = best.change.describe(best.value).removeprefix(f"{name} ").split()
     assert said == "clipped"
     assert float(level_K) == pytest.approx(limit_K, abs=2.0)
-    assert best.trial.excess_chi2 < 0.2
+    assert best.excess_chi2 < 0.2
 
 
 def test_a_model_that_is_short_of_the_level_contradicts_a_clipped_thermocouple():
     base = base_trial(estimate([clipped_at("LS_surface", 1040.0)]))
     (change,) = [c for c in sensor_changes(base) if "clipped" in c.what]
-    readings = fit_changes(base, [change])[0].trial.problem.samples(base.fit.values)[0].channel.intervals
+    readings = fit_changes(base, [change])[0].problem.samples(base.fit.values)[0].channel.intervals
     clipped = readings.select(np.isinf(readings.upper_K))
     beyond, short = (np.full(len(clipped.lower_K), 1040.0 + by_K) for by_K in (20.0, -20.0))
     assert scores(clipped, beyond, 1.0)[0] == pytest.approx(0.0, abs=1e-6)

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from sim_heating.closure.search import search
-from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange, fit_changes
+from sim_heating.closure.search.changes.record_change import fit_changes
 from sim_heating.closure.search.hypothesis import conclude, hypothesis, scored
-from sim_heating.closure.search.ranking import count_forms, delta_bic, score_round
-from sim_heating.closure.search.refine import CONVERGE
+from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, scored_trials
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.screening import predicted_gains
 from sim_heating.closure.search.trials.trial_fit import (
+    CONVERGE,
     TrialFit,
     base_trial,
     declared_fit,
@@ -38,7 +38,7 @@ def search_among(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
     def few(*given: Any, **options: Any) -> list[Candidate]:
         return [c for c in candidates(*given, **options) if c.name in names]
 
-    def without_ends(base: TrialFit, changes: Sequence[RecordChange], *given: Any, **options: Any) -> list[ChangeFit]:
+    def without_ends(base: TrialFit, changes: Sequence[RecordChange], *given: Any, **options: Any) -> list[TrialFit]:
         return fit_changes(base, [c for c in changes if c.near is None], *given, **options)
 
     monkeypatch.setattr(search, "candidates", few)
@@ -62,7 +62,7 @@ def searched_among(record: Record, names: Sequence[str]) -> SearchResult:
         for k, p, f in zip(best, problems, maximise_together(problems, starts, CONVERGE), strict=True)
     ]
     forms = count_forms(tried)
-    first = replace(score_round(base, trials, {}, forms), forms=forms)
+    first = SearchRound(base, scored_trials(base, trials, forms), {}, forms=forms)
     none = hypothesis([base], {})
     found = scored(none, [hypothesis([t], forms) for t in trials])
     return SearchResult(record, before, (first,), none, tuple(found), conclude(none, found))

@@ -18,19 +18,9 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.inputs.record import Record
 
 COLUMN = "axial_accel_g"
-HALF_WINDOW_S = 25.0
-MIN_SAMPLES = 20
-"""Samples that a window has at least."""
-BLIND_S = 2.0
-"""A step nearer than this to an end of its window is not searched for."""
-MIN_ACCELERATION_G = 1e-4
-"""Smaller accelerations are taken to be noise of the accelerometer."""
+WINDOW = (25.0, 2.0, 20)
+"""Half its length [s], how near to its ends no step is searched for [s], and its least number of samples."""
 ANGLES = ("alpha_deg", "elevon_deg", "bodyflap_deg")
-MAX_STEPS = 4
-LEAST_STEP = 0.01
-"""A smaller step, relative to the coefficient, is no transition: that raises the axial force by 5 % or more."""
-RESOLUTION = 1e-5
-"""Least residual of a coefficient, relative to it: digits of a file are not noise."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +39,7 @@ class AxialStep:
     @property
     def as_of_transition(self) -> bool:
         """Whether it is as large as that of a boundary layer that changes."""
-        return abs(self.relative) >= LEAST_STEP
+        return abs(self.relative) >= 0.01  # a transition raises the axial force by 5 % or more
 
     def describe(self) -> str:
         """One line for a person."""
@@ -60,17 +50,23 @@ class AxialStep:
         )
 
 
-def axial_steps(record: Record) -> tuple[AxialStep, ...] | None:
-    """The largest steps, more than half a window apart; None where the record has no axial acceleration."""
+def axial_steps(
+    record: Record, *, min_acceleration_g: float = 1e-4, max_steps: int = 4
+) -> tuple[AxialStep, ...] | None:
+    """The largest steps, more than half a window apart; None where the record has no axial acceleration.
+
+    min_acceleration_g : smaller accelerations are taken to be noise of the accelerometer
+    """
     flown = record.conditions
     if COLUMN not in flown:
         return None
     span = record.time_s[record.fit_mask() | record.holdout_mask()]
     t, a = flown.time_s, flown[COLUMN]
     known = (
-        (np.abs(a) > MIN_ACCELERATION_G) & (t >= np.min(span, initial=np.inf)) & (t <= np.max(span, initial=-np.inf))
+        (np.abs(a) > min_acceleration_g) & (t >= np.min(span, initial=np.inf)) & (t <= np.max(span, initial=-np.inf))
     )
-    if np.count_nonzero(known) < MIN_SAMPLES:
+    half_window_s, blind_s, min_samples = WINDOW
+    if np.count_nonzero(known) < min_samples:
         return ()
     t = t[known]
     # Over twice the dynamic pressure: the acceleration itself varies with density and speed throughout.
@@ -78,25 +74,31 @@ def axial_steps(record: Record) -> tuple[AxialStep, ...] | None:
     angles = np.column_stack([flown[n][known] for n in ANGLES])
     scan = [(_step(t, C, angles, at), at) for at in 0.5 * (t[1:] + t[:-1])]
     scanned = [(F, dof, size, at) for (F, dof, size), at in scan if dof > 0]
-    # The number of places, BLIND_S apart, at which noise could have shown a step.
-    windows = max(np.ptp(t) / HALF_WINDOW_S, 1.0) * HALF_WINDOW_S / BLIND_S
+    # The number of places, as far apart as a step is not searched for, at which noise could have shown a step.
+    windows = max(np.ptp(t) / half_window_s, 1.0) * half_window_s / blind_s
     found: list[AxialStep] = []
     for F, dof, size, at in sorted(scanned, key=lambda s: -s[0]):
-        if all(abs(at - s.time_s) > HALF_WINDOW_S for s in found):
+        if all(abs(at - s.time_s) > half_window_s for s in found):
             single = float(fdtrc(1, dof, F))
             found.append(
                 AxialStep(float(at), size, float(-math.expm1(windows * math.log1p(-min(single, 1.0 - 1e-16)))))
             )
-        if len(found) == MAX_STEPS:
+        if len(found) == max_steps:
             break
     return tuple(found)
 
 
-def _step(t: FloatArray, C: FloatArray, angles: FloatArray, at: float) -> tuple[float, int, float]:
-    """F of a step at a time, its degrees of freedom (0 where the window is too short), and its relative size."""
-    window = np.abs(t - at) <= HALF_WINDOW_S
-    early, late = np.count_nonzero(window & (t < at - BLIND_S)), np.count_nonzero(window & (t > at + BLIND_S))
-    if min(early, late) < MIN_SAMPLES // 2:
+def _step(
+    t: FloatArray, C: FloatArray, angles: FloatArray, at: float, *, resolution: float = 1e-5
+) -> tuple[float, int, float]:
+    """F of a step at a time, its degrees of freedom (0 where the window is too short), and its relative size.
+
+    resolution : least residual of a coefficient, relative to it: digits of a file are not noise
+    """
+    half_window_s, blind_s, min_samples = WINDOW
+    window = np.abs(t - at) <= half_window_s
+    early, late = np.count_nonzero(window & (t < at - blind_s)), np.count_nonzero(window & (t > at + blind_s))
+    if min(early, late) < min_samples // 2:
         return 0.0, 0, 0.0
     x = t[window] - at
     centred = angles[window] - np.mean(angles[window], axis=0)
@@ -110,7 +112,7 @@ def _step(t: FloatArray, C: FloatArray, angles: FloatArray, at: float) -> tuple[
     residual = y - with_step @ fit
     dof = len(y) - with_step.shape[1]
     level = float(np.mean(np.abs(y)))
-    floor = dof * (RESOLUTION * level) ** 2
+    floor = dof * (resolution * level) ** 2
     # The step never worsens the fit but by rounding; then F is 0, and p is 1.
     improvement = max(float(residual_without @ residual_without - residual @ residual), 0.0)
     return improvement / ((float(residual @ residual) + floor) / dof), dof, float(fit[-1]) / level

@@ -36,6 +36,7 @@ from sim_heating.closure.clues.shapes import (
     profiled_information,
     trials_factor,
 )
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.residual_tests import sidak_p_value
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
 from sim_heating.inputs.points import conditions_of_record, wall_enthalpy_of
@@ -45,17 +46,6 @@ R = TypeVar("R")
 S = TypeVar("S")
 SHAPES = "shapes of the residual"
 WALL, ENTHALPY = "wall_K", "wall_enthalpy_ratio"
-ACTIVE_SIGMAS = 3.0
-"""A residual heating is active where it exceeds this many of its sigmas."""
-GAP_S, MIN_SPAN_S = 15.0, 5.0
-"""Active spans closer than the first are joined; spans shorter than the second are not reported [s]."""
-MAX_SPANS = 6
-NEGATIVE_SIGMAS = 2.0
-"""A ratio is negative where it is so by more than this many sigmas."""
-MAX_AMPLITUDE = 3.0
-"""Largest amplitude of a shape, over the residual's own: a larger one cancels against fitted parameters."""
-SIGNIFICANCE_LEVEL = 0.01
-"""p-value below which evidence is called significant."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +89,7 @@ class ResidualEvidence:
     active        : spans, the largest first
     loops         : hysteresis in manoeuvres
     axial         : steps in axial acceleration; None where the record has none
-    negative_s    : how long the ratio would have to be negative by more than NEGATIVE_SIGMAS [s]; None where unknown
+    negative_s    : how long the ratio would have to be negative by more than `negative_sigmas` [s]; None where unknown
     unit          : what amplitudes are multiples of, in words
     left_out      : pieces that could not be made, with the reason; their fields are empty
     """
@@ -119,7 +109,7 @@ class ResidualEvidence:
         """The evidence in lines for a person: which variable, at which lag, active when, how large."""
         if SHAPES in self.left_out:
             return [f"What the residual follows is left out ({self.left_out[SHAPES]})."]
-        if not self.shape_fits or self.p_value > SIGNIFICANCE_LEVEL:
+        if not self.shape_fits or self.p_value > POLICY.significance:
             return ["As heating, the residual is no more than noise: it follows no variable of the flight."]
         best = self.shape_fits[0]
         lines = [
@@ -148,7 +138,7 @@ class ResidualEvidence:
             size = f"{span.delta_ratio:+.3g}" + ("" if math.isnan(span.relative) else f" ({span.relative:+.0%})")
             lines.append(f"Active from {span.start_s:.0f} to {span.end_s:.0f} s: {size} of {self.unit} on average.")
         lines += self._hysteresis()
-        significant = [s for s in self.axial or () if s.p_value < SIGNIFICANCE_LEVEL and s.as_of_transition]
+        significant = [s for s in self.axial or () if s.p_value < POLICY.significance and s.as_of_transition]
         return lines + [step.describe() + self._distance_from_edge(step) for step in significant]
 
     def _distance_from_edge(self, step: AxialStep) -> str:
@@ -223,11 +213,17 @@ def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> ResidualEv
     )
 
 
-def _shape_fits(residual: ResidualHeating, variables: Mapping[str, FloatArray]) -> tuple[list[ShapeFit], float]:
-    """The best shape of each variable, the largest gain first, and the trials that all shapes amount to."""
+def _shape_fits(
+    residual: ResidualHeating, variables: Mapping[str, FloatArray], *, max_amplitude: float = 3.0
+) -> tuple[list[ShapeFit], float]:
+    """The best shape of each variable, the largest gain first, and the trials that all shapes amount to.
+
+    max_amplitude : largest amplitude of a shape, over the residual's own: a larger one cancels against fitted
+        parameters
+    """
     profiled = profiled_information(residual)
     shapes, columns = candidate_shapes(residual.time_s, variables)
-    largest = MAX_AMPLITUDE * float(np.max(np.abs(residual.delta_ratio)))
+    largest = max_amplitude * float(np.max(np.abs(residual.delta_ratio)))
     # A shape that nearly equals a derivative has a huge amplitude, which the derivative cancels: it explains nothing by
     # itself.
     fits = [f for f in profiled.fit_shapes(shapes, columns) if abs(f.amplitude) <= largest]
@@ -243,9 +239,12 @@ def ratio_at(prediction: Prediction, time_s: FloatArray) -> FloatArray | None:
     return np.interp(time_s, history.time_s[known], history.ratio[known]) if np.any(known) else None
 
 
-def negative_s(residual: ResidualHeating, ratio: FloatArray) -> float:
-    """For how long ratio and correction together are negative by more than NEGATIVE_SIGMAS [s]."""
-    below = residual.fitted & (ratio + residual.delta_ratio < -NEGATIVE_SIGMAS * residual.sigma)
+def negative_s(residual: ResidualHeating, ratio: FloatArray, *, negative_sigmas: float = 2.0) -> float:
+    """For how long ratio and correction together are negative by more than `negative_sigmas` [s].
+
+    negative_sigmas : a ratio is negative where it is so by more than this many sigmas
+    """
+    below = residual.fitted & (ratio + residual.delta_ratio < -negative_sigmas * residual.sigma)
     return float(np.sum(np.gradient(residual.time_s)[below]))
 
 
@@ -320,13 +319,26 @@ def _correlation_p_value(r: float, n: float) -> float:
     return float(2.0 * stdtr(n - 2.0, -r * math.sqrt((n - 2.0) / (1.0 - r * r))))
 
 
-def active_spans(residual: ResidualHeating, ratio: FloatArray | None = None) -> list[ActiveSpan]:
-    """Spans in which the history exceeds ACTIVE_SIGMAS of its sigma, the largest first."""
+def active_spans(
+    residual: ResidualHeating,
+    ratio: FloatArray | None = None,
+    *,
+    active_sigmas: float = 3.0,
+    gap_s: float = 15.0,
+    min_span_s: float = 5.0,
+    max_spans: int = 6,
+) -> list[ActiveSpan]:
+    """Spans in which the history exceeds `active_sigmas` of its sigma, the largest first.
+
+    active_sigmas : a residual heating is active where it exceeds this many of its sigmas
+    gap_s, min_span_s : active spans closer than the first are joined; spans shorter than the second are not reported
+        [s]
+    """
     t, d = residual.time_s, residual.delta_ratio
-    beyond = residual.fitted & (np.abs(d) > ACTIVE_SIGMAS * residual.sigma)
+    beyond = residual.fitted & (np.abs(d) > active_sigmas * residual.sigma)
     spans: list[list[int]] = []
     for k in np.flatnonzero(beyond):
-        if spans and t[k] - t[spans[-1][1]] <= GAP_S and d[k] * d[spans[-1][1]] > 0.0:
+        if spans and t[k] - t[spans[-1][1]] <= gap_s and d[k] * d[spans[-1][1]] > 0.0:
             spans[-1][1] = int(k)
         else:
             spans.append([int(k), int(k)])
@@ -338,8 +350,8 @@ def active_spans(residual: ResidualHeating, ratio: FloatArray | None = None) -> 
         found.append(
             ActiveSpan(max(float(t[first]) - half, float(t[0])), float(t[last]) + half, float(np.mean(d[own])), over)
         )
-    long_enough = [a for a in found if a.end_s - a.start_s >= MIN_SPAN_S]
-    return _largest(long_enough)[:MAX_SPANS]
+    long_enough = [a for a in found if a.end_s - a.start_s >= min_span_s]
+    return _largest(long_enough)[:max_spans]
 
 
 def _largest(spans: Sequence[ActiveSpan]) -> list[ActiveSpan]:

@@ -31,21 +31,12 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.heating.atmosphere import CP_AIR, G0_M_S2, GAMMA, R_AIR, gravity, sutherland_viscosity
 
-HIGHEST_M = 80e3
-"""Altitude [m] above which the mean molar mass of air changes, and drag with rarefaction."""
 SLOWEST_M_S = 2000.0
 """Velocity [m/s] below which coefficients change with Mach number, and winds count."""
-LEAST_DRAG_M_S2, LEAST_SENSED_M_S2 = 0.5, 0.05
-"""Accelerations below which drag and axial force are not judged: the rotation of the Earth adds some hundredths to the
-first, and an accelerometer has a bias."""
-HALF_WINDOW_S, HALF_WINDOW_M = 8.0, 1500.0
+HALF_WINDOW_S = 8.0
 """Half of the spans of time and altitude over which derivatives are taken."""
-STEP_S = 1.0
-"""Least interval [s] of the samples that are judged."""
-SIGMAS, LONGEST_NOISE_S = 6.0, 4.0
+SIGMAS = 6.0
 """Scatters of the whole flight that a deviation has to exceed, for longer than this [s]."""
-HUBER = 1.345
-"""Scatters beyond which Huber's weights fall; 95 % efficient for normal errors (Huber 1964)."""
 FEWEST = 60
 """Samples that a relation is judged with."""
 
@@ -143,10 +134,13 @@ def contradictions_of_motion(stated: Conditions, changed: Conditions) -> list[Di
     return sorted(found, key=lambda d: -d.sigmas)
 
 
-def _evenly(conditions: Conditions) -> Conditions:
-    """Conditions at even times, at the median interval of the samples but not below STEP_S."""
+def _evenly(conditions: Conditions, *, step_s: float = 1.0) -> Conditions:
+    """Conditions at even times, at the median interval of the samples but not below `step_s`.
+
+    step_s : least interval [s] of the samples that are judged
+    """
     t = conditions.time_s
-    return conditions.at(np.arange(t[0], t[-1], max(float(np.median(np.diff(t))), STEP_S)))
+    return conditions.at(np.arange(t[0], t[-1], max(float(np.median(np.diff(t))), step_s)))
 
 
 def _scatter(relation: _Relation) -> FloatArray:
@@ -156,7 +150,9 @@ def _scatter(relation: _Relation) -> FloatArray:
     return np.maximum(np.hypot(spread, relation.noise) * np.ones_like(relation.deviation), relation.least / SIGMAS)
 
 
-def _parts(flown: Conditions, relation: _Relation | None, scatter: FloatArray | None = None) -> list[Discrepancy]:
+def _parts(
+    flown: Conditions, relation: _Relation | None, scatter: FloatArray | None = None, *, longest_noise_s: float = 4.0
+) -> list[Discrepancy]:
     """Parts of a flight that deviate from a relation; scatter : (time,) of it, by default its own."""
     if relation is None or np.count_nonzero(relation.judged) < FEWEST:
         return []
@@ -165,7 +161,7 @@ def _parts(flown: Conditions, relation: _Relation | None, scatter: FloatArray | 
     sign = _bridged(np.sign(sigmas) * (np.abs(sigmas) > SIGMAS), t)
     ends = np.flatnonzero(np.diff(sign, prepend=0.0, append=0.0) != 0.0)
     spans = [slice(first, after) for first, after in pairwise(ends) if sign[first] != 0.0]
-    return [_discrepancy(flown, relation, sigmas, s) for s in spans if t[s.stop - 1] - t[s.start] > LONGEST_NOISE_S]
+    return [_discrepancy(flown, relation, sigmas, s) for s in spans if t[s.stop - 1] - t[s.start] > longest_noise_s]
 
 
 def _bridged(sign: FloatArray, t: FloatArray) -> FloatArray:
@@ -193,10 +189,13 @@ def _discrepancy(flown: Conditions, relation: _Relation, sigmas: FloatArray, spa
 # The relations -------------------------------------------------------------------------------------------------------
 
 
-def _low(flown: Conditions) -> BoolArray:
-    """(time,) where air has one molar mass, and its density and pressure are known."""
+def _low(flown: Conditions, *, highest_m: float = 80e3) -> BoolArray:
+    """(time,) where air has one molar mass, and its density and pressure are known.
+
+    highest_m : altitude [m] above which the mean molar mass of air changes, and drag with rarefaction
+    """
     known = (flown["p_inf_Pa"] > 0.0) & (flown["rho_kg_m3"] > 0.0) & (flown["T_inf_K"] > 0.0)
-    return np.asarray((flown["altitude_m"] < HIGHEST_M) & known)
+    return np.asarray((flown["altitude_m"] < highest_m) & known)
 
 
 def _hypersonic(flown: Conditions) -> BoolArray:
@@ -217,18 +216,18 @@ def _gas(flown: Conditions) -> _Relation:
     return _Relation("gas", "rho R T over the pressure is", deviation, judged, 0.01)
 
 
-def _hydrostatics(flown: Conditions) -> _Relation | None:
+def _hydrostatics(flown: Conditions, *, half_window_m: float = 1500.0) -> _Relation | None:
     """Logarithm of the pressure over spans of altitude, against the weight of the air in them."""
     judged = _low(flown)
     z_all = flown["altitude_m"]
     z, p, rho = z_all[judged], flown["p_inf_Pa"][judged], flown["rho_kg_m3"][judged]
-    if len(z) < FEWEST or np.ptp(z) < 8.0 * HALF_WINDOW_M:
+    if len(z) < FEWEST or np.ptp(z) < 8.0 * half_window_m:
         return None
     order = np.argsort(z, kind="stable")
-    level = np.arange(z[order[0]], z[order[-1]], 0.1 * HALF_WINDOW_M)
+    level = np.arange(z[order[0]], z[order[-1]], 0.1 * half_window_m)
     log_p, weight = (np.interp(level, z[order], v[order]) for v in (np.log(p), rho * _gravity(z) / p))
     column = np.concatenate(([0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]) * np.diff(level))))
-    ends = np.clip(z + HALF_WINDOW_M, None, level[-1]), np.clip(z - HALF_WINDOW_M, level[0], None)
+    ends = np.clip(z + half_window_m, None, level[-1]), np.clip(z - half_window_m, level[0], None)
     fell, held = (np.interp(ends[1], level, v) - np.interp(ends[0], level, v) for v in (log_p, -column))
     deviation = np.zeros(len(flown))
     deviation[judged] = np.divide(fell, held, out=np.ones_like(fell), where=held > 0.0) - 1.0
@@ -238,7 +237,7 @@ def _hydrostatics(flown: Conditions) -> _Relation | None:
         deviation,
         judged,
         0.05,
-        noise=_noise(z_all) / HALF_WINDOW_M,
+        noise=_noise(z_all) / half_window_m,
     )
 
 
@@ -292,12 +291,13 @@ def _path(flown: Conditions) -> _Relation | None:
     return _Relation("path", words, deviation, judged, 0.1, "deg", np.degrees(_slope_noise("altitude_m", flown) / V))
 
 
-def _drag(flown: Conditions) -> _Relation:
+def _drag(flown: Conditions, *, least_drag_m_s2: float = 0.5) -> _Relation:
+    """least_drag_m_s2 : drag below which nothing is told [m/s2]."""
     V, z = np.maximum(flown["velocity_m_s"], 1.0), flown["altitude_m"]
     sinking = _smoothed(_gravity(z) * np.gradient(z, flown.time_s) / V, flown)
     drag = -_slope(V, flown) - sinking
     q = 0.5 * flown["rho_kg_m3"] * V**2
-    judged = _hypersonic(flown) & (drag > LEAST_DRAG_M_S2)
+    judged = _hypersonic(flown) & (drag > least_drag_m_s2)
     deviation, model = _from_smooth(flown, drag, q, judged, smooth=True)
     noise = np.divide(_slope_noise("velocity_m_s", flown), drag, out=np.zeros(len(drag)), where=judged)
     return _Relation(
@@ -305,12 +305,13 @@ def _drag(flown: Conditions) -> _Relation:
     )
 
 
-def _axial(flown: Conditions) -> _Relation | None:
+def _axial(flown: Conditions, *, least_sensed_m_s2: float = 0.05) -> _Relation | None:
+    """least_sensed_m_s2 : axial acceleration below which nothing is told [m/s2]."""
     if "axial_accel_g" not in flown:
         return None
     q = 0.5 * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2
     acceleration = G0_M_S2 * flown["axial_accel_g"]
-    judged = _hypersonic(flown) & (acceleration > LEAST_SENSED_M_S2)
+    judged = _hypersonic(flown) & (acceleration > least_sensed_m_s2)
     deviation, noise = _from_smooth(flown, acceleration, q, judged)
     return _Relation(
         "axial force",
@@ -381,7 +382,14 @@ def _of_speed(flown: Conditions) -> FloatArray:
 
 
 def _from_smooth(
-    flown: Conditions, force: FloatArray, scale: FloatArray, judged: BoolArray, *, smooth: bool = False
+    flown: Conditions,
+    force: FloatArray,
+    scale: FloatArray,
+    judged: BoolArray,
+    *,
+    smooth: bool = False,
+    huber_sigmas: float = 1.345,
+    rounds: int = 20,
 ) -> tuple[FloatArray, FloatArray]:
     """Relative deviation of a force from a smooth coefficient times its scale, and its standard deviation.
 
@@ -390,6 +398,8 @@ def _from_smooth(
     stay the same for some time.
     smooth  : whether the force is a mean over the window of derivatives, as its model then has to be
     returns : (time,) and (time,), 0 where the force is not judged
+    huber_sigmas : scatters beyond which Huber's weights fall; 95 % efficient for normal errors (Huber 1964)
+    rounds : iterations of a robust fit
     """
     deviation, noise = np.zeros(len(flown)), np.zeros(len(flown))
     if np.count_nonzero(judged) < FEWEST:
@@ -403,11 +413,11 @@ def _from_smooth(
     A = columns[judged] / y[:, np.newaxis]
     A /= np.maximum(np.max(np.abs(A), axis=0), np.finfo(float).tiny)
     weight = np.ones(len(y))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         fit = np.linalg.lstsq(A * np.sqrt(weight)[:, np.newaxis], np.sqrt(weight), rcond=None)[0]
         residual = 1.0 - A @ fit
         spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
-        weight = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(residual), 1e-12))
+        weight = np.minimum(1.0, huber_sigmas * spread / np.maximum(np.abs(residual), 1e-12))
     leverage = np.einsum("ij,jk,ik->i", A, np.linalg.pinv(A.T @ (A * weight[:, np.newaxis])), A)
     together = LASTING_S / float(flown.time_s[1] - flown.time_s[0])
     deviation[judged] = np.divide(residual, A @ fit, out=np.zeros(len(y)), where=A @ fit > 0.0)
@@ -415,7 +425,5 @@ def _from_smooth(
     return deviation, noise
 
 
-ROUNDS = 20
-"""Iterations of a robust fit."""
 LASTING_S = 60.0
 """Time [s] for which errors of the atmosphere and of an aerodynamic model stay the same."""

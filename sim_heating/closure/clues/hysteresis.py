@@ -21,16 +21,12 @@ from scipy.special import stdtr
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.clues.residual_heating import ResidualHeating
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.residual_tests import sidak_p_value
 
 ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
 MIN_EXCURSION_DEG = 1.0
-"""Excursion of an angle from its median over WINDOW_S that makes a manoeuvre."""
-WINDOW_S, MARGIN_S = 150.0, 6.0
-MIN_KNOTS = 4
-"""Knots that a loop has at least."""
-SIGNIFICANCE_LEVEL, MIN_FILLED = 0.01, 0.1
-"""A loop is reported with a p-value below the first and an area, over that of its box, above the second."""
+"""Excursion of an angle from its median over the window that makes a manoeuvre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +52,7 @@ class HysteresisLoop:
     @property
     def significant(self) -> bool:
         """Whether noise alone is unlikely to make the loop."""
-        return self.p_value < SIGNIFICANCE_LEVEL and abs(self.filled) > MIN_FILLED
+        return self.p_value < POLICY.significance and abs(self.filled) > 0.1
 
     def describe(self) -> str:
         """One line for a person."""
@@ -112,21 +108,26 @@ def _rate_term(
     return float(fit[-1] / np.sqrt(np.linalg.pinv(A.T @ A)[-1, -1] * scatter)), dof
 
 
-def manoeuvres(time_s: FloatArray, v: FloatArray) -> list[slice]:
-    """Knots of each excursion of a variable from its median and back."""
+def manoeuvres(
+    time_s: FloatArray, v: FloatArray, *, window_s: float = 150.0, margin_s: float = 6.0, min_knots: int = 4
+) -> list[slice]:
+    """Knots of each excursion of a variable from its median and back.
+
+    min_knots : knots that a loop has at least
+    """
     spacing = float(np.median(np.diff(time_s)))
-    half = int(0.5 * WINDOW_S / spacing)
+    half = int(0.5 * window_s / spacing)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(v, half, mode="edge"), 2 * half + 1)
     displaced = np.abs(v - np.median(windows, axis=1)) > MIN_EXCURSION_DEG
     spans: list[list[int]] = []
     for k in np.flatnonzero(displaced):
-        if spans and time_s[k] - time_s[spans[-1][1]] <= 2.0 * MARGIN_S:
+        if spans and time_s[k] - time_s[spans[-1][1]] <= 2.0 * margin_s:
             spans[-1][1] = int(k)
         else:
             spans.append([int(k), int(k)])
-    margin = int(np.ceil(MARGIN_S / spacing))
+    margin = int(np.ceil(margin_s / spacing))
     found = [slice(max(a - margin, 0), min(b + margin, len(v) - 1) + 1) for a, b in spans]
-    return [s for s in found if s.stop - s.start >= MIN_KNOTS and time_s[s.stop - 1] - time_s[s.start] <= WINDOW_S]
+    return [s for s in found if s.stop - s.start >= min_knots and time_s[s.stop - 1] - time_s[s.start] <= window_s]
 
 
 def _area_weights(v: FloatArray, own: slice) -> FloatArray:

@@ -32,10 +32,6 @@ from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import Sensor
 
 NAME = "residual_heating.csv"
-COLD_WALL_J_KG = 1e12
-"""Recovery enthalpy of a reference heating that does not depend on the wall: that of a wall is negligible [J/kg]."""
-FLUX_W_M2 = 1e4
-"""Unit of a missing flux where the record declares none [W/m2]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,16 +193,21 @@ def residual_heating(
     return ResidualHeating(own.record, smoothed, sensors, jacobian, prior, names, span, own.time_s, own.mesh, flux)
 
 
-def _with_reference_flux(flown: Conditions) -> tuple[Conditions, float | None]:
+def _with_reference_flux(
+    flown: Conditions, *, cold_wall_J_kg: float = 1e12, flux_W_m2: float = 1e4
+) -> tuple[Conditions, float | None]:
     """Conditions without reference heating, with one of the largest flux that they have; others as they are.
 
     returns : the conditions, and that flux [W/m2]; None where they have a reference heating
+    cold_wall_J_kg : recovery enthalpy of a reference heating that does not depend on the wall: that of a wall is
+        negligible [J/kg]
+    flux_W_m2 : unit of a missing flux where the record declares none [W/m2]
     """
     if np.any(flown["h_ref_kg_m2_s"] != 0.0):
         return flown, None
     flux = float(np.max(np.abs(flown["q_add_W_m2"]))) if "q_add_W_m2" in flown else 0.0
-    flux = flux or FLUX_W_M2
-    h_ref, H_r = np.full(len(flown), flux / COLD_WALL_J_KG), np.full(len(flown), COLD_WALL_J_KG)
+    flux = flux or flux_W_m2
+    h_ref, H_r = np.full(len(flown), flux / cold_wall_J_kg), np.full(len(flown), cold_wall_J_kg)
     return flown.with_columns(h_ref_kg_m2_s=h_ref, H_r_J_kg=H_r), flux
 
 

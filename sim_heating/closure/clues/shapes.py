@@ -25,14 +25,6 @@ from sim_heating.estimation.inference.residual_tests import sidak_p_value
 
 LAGS_S = (-20.0, -10.0, -5.0, -2.0, 0.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 """Lags of a shape behind its variable [s]; a thermocouple's clock rarely has a larger error."""
-QUANTILES = (0.2, 0.4, 0.6, 0.75, 0.9, 0.97)
-"""Thresholds that are tried, as quantiles of a variable."""
-SHARPNESS = 0.02
-"""Width of a step over the range of its variable."""
-MIN_RELATIVE_RANGE = 1e-6
-"""Range over magnitude below which a variable counts as constant."""
-DRAWS = 400
-"""Simulated scores behind the trials factor."""
 TIME = "time_s"
 
 
@@ -141,14 +133,17 @@ def _without_level(A: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray
     return A - np.outer(along, along) / power, b - along * float(b.sum()) / power
 
 
-def trials_factor(profiled: ProfiledInformation, columns: FloatArray, seed: int = 0) -> float:
+def trials_factor(profiled: ProfiledInformation, columns: FloatArray, seed: int = 0, *, draw_count: int = 400) -> float:
     """Number of independent trials that give the same largest z^2 from noise alone as all the shapes do.
 
     columns : (knot, shape) histories;  seed : of the simulated scores
+    draw_count : simulated scores behind the trials factor
     """
     values, vectors = np.linalg.eigh(profiled.information)
     # Shapes overlap, so that their number says little about chance: the largest score of simulated noise replaces it.
-    draws = (vectors * np.sqrt(np.maximum(values, 0.0))) @ np.random.default_rng(seed).normal(size=(len(values), DRAWS))
+    draws = (vectors * np.sqrt(np.maximum(values, 0.0))) @ np.random.default_rng(seed).normal(
+        size=(len(values), draw_count)
+    )
     power = np.einsum("ij,ij->j", columns, profiled.information @ columns)
     resolved = power > 1e-12 * float(np.max(power, initial=0.0))
     if not np.any(resolved):
@@ -164,15 +159,18 @@ def p_value(z: float, trials: float) -> float:
     return sidak_p_value(single, trials)
 
 
-def candidate_shapes(time_s: FloatArray, variables: Mapping[str, FloatArray]) -> tuple[list[Shape], FloatArray]:
+def candidate_shapes(
+    time_s: FloatArray, variables: Mapping[str, FloatArray], *, min_relative_range: float = 1e-6
+) -> tuple[list[Shape], FloatArray]:
     """All shapes of the variables that are not constant.
 
     returns : shapes, and their histories (knot, shape), each of largest magnitude 1
+    min_relative_range : range over magnitude below which a variable counts as constant
     """
     shapes: list[Shape] = []
     columns: list[FloatArray] = []
     for name, v in variables.items():
-        if np.ptp(v) <= MIN_RELATIVE_RANGE * max(float(np.max(np.abs(v))), 1e-300):
+        if np.ptp(v) <= min_relative_range * max(float(np.max(np.abs(v))), 1e-300):
             continue
         for form, at in _forms(name, v):
             for lag in (0.0,) if name == TIME else LAGS_S:
@@ -186,7 +184,8 @@ def candidate_shapes(time_s: FloatArray, variables: Mapping[str, FloatArray]) ->
 
 def _forms(name: str, v: FloatArray) -> list[tuple[str, float]]:
     """Forms of a variable, each with its threshold or centre."""
-    thresholds = [float(q) for q in np.unique(np.quantile(v, QUANTILES)) if np.min(v) < q < np.max(v)]
+    tried = np.unique(np.quantile(v, (0.2, 0.4, 0.6, 0.75, 0.9, 0.97)))
+    thresholds = [float(q) for q in tried if np.min(v) < q < np.max(v)]
     steps = [("step", at) for at in thresholds]
     if name == TIME:
         return [("linear", 0.0), *(("step", float(q)) for q in np.quantile(v, np.linspace(0.04, 0.96, 24)))]
@@ -200,8 +199,11 @@ def _forms(name: str, v: FloatArray) -> list[tuple[str, float]]:
     return [*forms, ("magnitude", 0.0)] if np.min(v) < 0.0 < np.max(v) else forms
 
 
-def _values(time_s: FloatArray, v: FloatArray, form: str, at: float) -> FloatArray:
-    """(knot,) a form of a variable."""
+def _values(time_s: FloatArray, v: FloatArray, form: str, at: float, *, sharpness: float = 0.02) -> FloatArray:
+    """(knot,) a form of a variable.
+
+    sharpness : width of a step over the range of its variable
+    """
     if form == "square":
         return (v - at) ** 2
     if form == "magnitude":
@@ -209,6 +211,6 @@ def _values(time_s: FloatArray, v: FloatArray, form: str, at: float) -> FloatArr
     if form == "above":
         return np.maximum(v - at, 0.0)
     if form == "step":
-        width = SHARPNESS * np.ptp(v)
+        width = sharpness * np.ptp(v)
         return 0.5 + 0.5 * np.tanh((v - at) / width) if width > 0.0 else np.heaviside(v - at, 0.5)
     return np.gradient(v, time_s) if form == "rate" else v

@@ -25,16 +25,15 @@ from sim_heating.inputs.record import Record
 
 ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
 """Columns of angles, which a trajectory that is merged with them, and with the jets, may be earlier or later than."""
-SHARPENINGS, SMOOTHED_STEP_S = 12, 0.5
-"""Iterations that undo a mean, and the step of the times that it is taken at [s]."""
-HEATED = 0.15
-"""Part of the largest heating of a cold wall above which a flight counts as heated."""
 
 
-def heated_part(flown: Conditions) -> BoolArray:
-    """(time,) whether laminar heating, rho^1/2 V^3, is a good part of its largest."""
+def heated_part(flown: Conditions, *, heated_share: float = 0.15) -> BoolArray:
+    """(time,) whether laminar heating, rho^1/2 V^3, is a good part of its largest.
+
+    heated_share : part of the largest heating of a cold wall above which a flight counts as heated
+    """
     heating = np.sqrt(flown["rho_kg_m3"]) * flown["velocity_m_s"] ** 3
-    return np.asarray(heating >= HEATED * heating.max())
+    return np.asarray(heating >= heated_share * heating.max())
 
 
 def shift_conditions(record: Record, later_s: FloatArray | float) -> Record:
@@ -75,26 +74,27 @@ def with_alpha(record: Record, bias_deg: float) -> Record:
     return _changed(record, {"alpha_deg": record.conditions["alpha_deg"] + bias_deg})
 
 
-def with_sharper_alpha(record: Record, width_s: float) -> Record:
+def with_sharper_alpha(record: Record, width_s: float, *, sharpenings: int = 12, step_s: float = 0.5) -> Record:
     """The record with the angle of attack whose mean over some seconds is the stated one.
 
     width_s : standard deviation of the weights of the mean, a Gaussian [s]
 
         a_0 = a,   a_(k+1) = a_k + (a - G a_k)
 
-    by SHARPENINGS iterations, which amplify noise that much at most, and give back what the mean leaves of an angle.
+    by `sharpenings` iterations, which amplify noise that much at most, and give back what the mean leaves of an angle.
     Source: van Cittert, "Zum Einfluss der Spaltbreite auf die Intensitaetsverteilung in Spektrallinien II", 1931.
+    sharpenings, step_s : iterations that undo a mean, and the step of the times that it is taken at [s]
     """
     flown = record.conditions
     if width_s <= 0.0:
         return record
-    at_s = np.arange(flown.time_s[0], flown.time_s[-1] + SMOOTHED_STEP_S, SMOOTHED_STEP_S)
+    at_s = np.arange(flown.time_s[0], flown.time_s[-1] + step_s, step_s)
     stated = np.interp(at_s, flown.time_s, flown["alpha_deg"])
-    half = int(4.0 * width_s / SMOOTHED_STEP_S) + 1
-    weight = np.exp(-0.5 * (np.arange(-half, half + 1) * SMOOTHED_STEP_S / width_s) ** 2)
+    half = int(4.0 * width_s / step_s) + 1
+    weight = np.exp(-0.5 * (np.arange(-half, half + 1) * step_s / width_s) ** 2)
     weight /= weight.sum()
     sharper = stated
-    for _ in range(SHARPENINGS):
+    for _ in range(sharpenings):
         sharper = sharper + stated - np.convolve(np.pad(sharper, half, mode="edge"), weight, mode="valid")
     return _changed(record, {"alpha_deg": flown["alpha_deg"] + np.interp(flown.time_s, at_s, sharper - stated)})
 

@@ -5,7 +5,7 @@ Where table and bounds are right, estimates with flat priors are theta_hat ~ N(0
 (docs/theory/equations.md, equation 17). A parameter is named where it is off by more than three of its sigma,
 S_kk^(1/2). Where none is and all together are, the combination is named that is: the eigenvector of S, scaled to ones
 on its diagonal, that contributes most. Variances of combinations follow from correlations of the table's errors, which
-are assumed; so for these INDEPENDENT of every variance counts as independent of the others.
+are assumed; so for these a share of every variance counts as independent of the others.
 """
 
 from __future__ import annotations
@@ -25,11 +25,6 @@ from sim_heating.estimation.inference.observability import variables_of
 
 MOST_SIGMA = 3.0
 """Sigmas of table and bounds together by which an estimate may be off."""
-NAMED_COMPONENT = 0.3
-"""Component of a combination of unit length above which a parameter is named."""
-INDEPENDENT = 0.1
-"""Part of the variance of each estimate that is taken as independent of the others [-]. Errors of a table about another
-reference condition than that of the fit, for one, leave a constant that no parameter takes up."""
 VARIABLE_WORDS = ("alpha", "beta", "Reynolds-number", "elevon", "body-flap")
 """The ratio variables in words."""
 UNIT_WORDS = {"1": "", "1/deg": "/deg", "1/deg2": "/deg2"}
@@ -77,21 +72,32 @@ def table_findings(fit: FitResult, prior: TablePrior | None) -> list[TableFindin
     return sorted(found, key=lambda f: -f.sigmas) or _combination(estimates, z, S)
 
 
-def _combination(estimates: Mapping[str, tuple[float, float]], z: FloatArray, S: FloatArray) -> list[TableFinding]:
+def _combination(
+    estimates: Mapping[str, tuple[float, float]],
+    z: FloatArray,
+    S: FloatArray,
+    *,
+    named_component: float = 0.3,
+    independent_share: float = 0.1,
+) -> list[TableFinding]:
     """The combination that is farthest off where no parameter alone is, and all together are; else nothing.
 
     z : (k,) estimates over their sigmas;  S : (k, k) covariance of table and bounds
+    named_component : component of a combination of unit length above which a parameter is named
+    independent_share : part of the variance of each estimate that is taken as independent of the others [-]. Errors of
+        a table about another reference condition than that of the fit, for one, leave a constant that no parameter
+        takes up
     """
     sigma = np.sqrt(np.diag(S))
     eigenvalues, vectors = np.linalg.eigh(S / np.outer(sigma, sigma))
-    off = (vectors.T @ z) / np.sqrt(np.maximum(eigenvalues, 0.0) + INDEPENDENT)
+    off = (vectors.T @ z) / np.sqrt(np.maximum(eigenvalues, 0.0) + independent_share)
     p_value = float(chdtrc(len(off), float(off @ off)))
     if p_value > math.erfc(MOST_SIGMA / math.sqrt(2.0)):
         return []
     k = int(np.argmax(np.abs(off)))
     order = np.argsort(-np.abs(vectors[:, k]))
     listed = list(estimates)
-    members = [listed[i] for i in order if abs(vectors[i, k]) > NAMED_COMPONENT]
+    members = [listed[i] for i in order if abs(vectors[i, k]) > named_component]
     text = (
         f"the table's {_listed([table_word(n) for n in members])} are off together "
         f"({abs(off[k]):.1f} sigma along their combination, each less by itself)"

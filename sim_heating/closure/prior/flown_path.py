@@ -25,12 +25,6 @@ from sim_heating.heating.ratio.uncertainty import basis, declared_ratio
 from sim_heating.inputs.points import conditions_of_record, intermittency_along
 from sim_heating.inputs.record import Record, in_segments
 
-MEMORY_S, MEMORIES = 60.0, 4.0
-"""Time in which the temperature under a coating forgets its heating [s], about that of conduction 6 mm into a tile, and
-the number of such times that count."""
-MIN_SINGULAR_VALUE = 1e-6
-"""Singular value of the scaled basis below which two parameters cannot be distinguished along the path."""
-
 
 @dataclass(frozen=True)
 class FlownPath:
@@ -74,25 +68,33 @@ def record_path(
 
 
 def marched_path(
-    record: Record, segments: Sequence[Sequence[float]], begin_s: float, transition: EffectUse | None
+    record: Record,
+    segments: Sequence[Sequence[float]],
+    begin_s: float,
+    transition: EffectUse | None,
+    *,
+    memory_s: float = 60.0,
+    memories: float = 4.0,
 ) -> FlownPath:
     """The samples on which the fitted temperatures of a record depend: those read, and the heating before them.
 
     A temperature follows from the heating before it, also where nothing was read. There, a sample of the conditions
-    counts as of a heat flux smaller by (exp(-t / MEMORY_S))^2, t the time to the next reading.
+    counts as of a heat flux smaller by (exp(-t / `memory_s`))^2, t the time to the next reading.
 
     segments   : [start_s, end_s] of each
     begin_s    : time at which the march of the fit began [s]
     transition : the transition of the fit, None without one
+    memory_s, memories : time in which the temperature under a coating forgets its heating [s], about that of conduction
+        6 mm into a tile, and the number of such times that count
     """
     fitted = in_segments(record.time_s, segments) & ~record.holdout_mask() & record.read_mask
     read = record.time_s[fitted]
     flown = record.conditions.time_s
     t = flown[(flown >= begin_s) & (flown <= read[-1])]
     until = read[np.minimum(np.searchsorted(read, t), len(read) - 1)] - t
-    near = until < MEMORIES * MEMORY_S
+    near = until < memories * memory_s
     path = path_at(record, t[near], transition)
-    return replace(path, weight=path.weight * np.exp(-4.0 * until[near] / MEMORY_S))
+    return replace(path, weight=path.weight * np.exp(-4.0 * until[near] / memory_s))
 
 
 def path_at(record: Record, t: FloatArray, transition: EffectUse | None) -> FlownPath:
@@ -126,11 +128,15 @@ def turbulent_over_laminar(record: Record, x: FloatArray, declared: FloatArray) 
     return found
 
 
-def projection(names: Sequence[str], path: FlownPath, reference: FloatArray) -> FloatArray:
+def projection(
+    names: Sequence[str], path: FlownPath, reference: FloatArray, *, min_singular_value: float = 1e-6
+) -> FloatArray:
     """(parameter, sample) P, which makes the parameters of the linear model of a ratio along the path [-].
 
     names     : (parameter,) parameters of the linear model;  reference : (5,) condition that they are about
     raises    : InputError where the path cannot distinguish them
+    min_singular_value : singular value of the scaled basis below which two parameters cannot be distinguished along the
+        path
     """
     B = basis(names, path.x, reference, path.declared)
     root = np.sqrt(path.weight / np.sum(path.weight))
@@ -138,7 +144,7 @@ def projection(names: Sequence[str], path: FlownPath, reference: FloatArray) -> 
     # Projected, not sampled: the rank is the number of parameters at any sampling rate. Pseudo-measurements along the
     # path were rejected, since their spacing and noise would be invented (decision 0006).
     U, s, V = np.linalg.svd(B * root[:, None] / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    if len(B) < len(names) or s[-1] < MIN_SINGULAR_VALUE:
+    if len(B) < len(names) or s[-1] < min_singular_value:
         least = V[-1] if len(s) else np.ones(len(names))
         alike = " and ".join(n for n, v in zip(names, least, strict=True) if abs(v) > 0.3)
         raise InputError(f"the fitted samples cannot distinguish {alike}; are the records those of the estimate?")

@@ -20,11 +20,6 @@ from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import BY_CONFIDENCE, FlightUncertainty, Record
 
-RELATIVE = 0.05
-"""Scale of the half-normal prior of the error of the heating, for a measured flight that states none [-]. The flux of a
-lamp is what its record states."""
-SHORTEST_S, LONGEST_S = 60.0, 600.0
-"""Limits of the log-uniform prior of its correlation time [s]."""
 DENSITY = "density_relative"
 FROM_FLIGHT = ("h_ref_kg_m2_s", "H_r_J_kg", "p_surface_Pa")
 """Columns that the error of a flight acts through; one of its duration through the angles as well, where the flight has
@@ -33,21 +28,26 @@ one clock.
 Reynolds and Mach number stay as stated: when an onset is reached is what its own parameter says, and a derivative along
 the flight's error could not say it.
 """
-CLOCK_SIGMAS = 3.0
-"""Standard deviations by which the clock of a flight may be off, as far as the record allows."""
 
 
-def heating_error_prior(record: Record) -> HeatingErrorPrior | None:
+def heating_error_prior(
+    record: Record, *, relative: float = 0.05, shortest_s: float = 60.0, longest_s: float = 600.0
+) -> HeatingErrorPrior | None:
     """The prior of the error of a record's heating, of size 0 where only its flight or a sensor has one; None where its
-    model is exact."""
+    model is exact.
+
+    relative : scale of the half-normal prior of the error of the heating, for a measured flight that states none [-].
+        The flux of a lamp is what its record states
+    shortest_s, longest_s : limits of the log-uniform prior of its correlation time [s]
+    """
     stated = record.declared.heating.uncertainty
     slow = any(s.noise_sigma_K and s.noise_correlation_s for s in record.used_sensors)
     if stated is None and record.declared.measured and record.has_flow:
-        return HeatingErrorPrior(RELATIVE, SHORTEST_S, LONGEST_S)
+        return HeatingErrorPrior(relative, shortest_s, longest_s)
     if stated is None or stated.relative == 0.0:
         other = slow or flight_error(record) is not None
-        return HeatingErrorPrior(0.0, SHORTEST_S, LONGEST_S) if other else None
-    limits = (SHORTEST_S, LONGEST_S) if stated.correlation_s is None else (stated.correlation_s, stated.correlation_s)
+        return HeatingErrorPrior(0.0, shortest_s, longest_s) if other else None
+    limits = (shortest_s, longest_s) if stated.correlation_s is None else (stated.correlation_s, stated.correlation_s)
     return HeatingErrorPrior(stated.relative, *limits)
 
 
@@ -63,7 +63,7 @@ def flight_error(record: Record) -> SmoothFlightError | None:
     return error if error.directions or error.has_one_clock else None
 
 
-def clock_prior(record: Record, agreement_s: float) -> Parameter:
+def clock_prior(record: Record, agreement_s: float, *, clock_sigmas: float = 3.0) -> Parameter:
     """The clock of the readings against that of the conditions, with its prior in the declared model.
 
     agreement_s : by how much two recorders differ that agree [s]
@@ -71,12 +71,13 @@ def clock_prior(record: Record, agreement_s: float) -> Parameter:
     It is as uncertain as the time of the flight, where that is known to SKEW_SPAN_S. A shift moves the answer to a
     manoeuvre by more than a derivative can say, so that it is a parameter of the march. A flight whose time is less
     well known is not the one that was flown: its heating is then earlier or later than its angles say.
+    clock_sigmas : standard deviations by which the clock of a flight may be off, as far as the record allows
     """
     error = flight_error(record)
     if error is None or not error.has_one_clock:
         return replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)
     sigma_s = error.uncertainty.time_shift_s
-    limit_s = min(max(CLOCK_SIGMAS * sigma_s, agreement_s), SKEW_SPAN_S)
+    limit_s = min(max(clock_sigmas * sigma_s, agreement_s), SKEW_SPAN_S)
     return replace(CLOCK_SKEW, sigma=sigma_s, lower=-limit_s, upper=limit_s)
 
 

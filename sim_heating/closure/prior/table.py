@@ -30,8 +30,6 @@ from sim_heating.inputs.record import Record
 DEFAULT_SIGMA = 0.25
 """Sigma over ratio of a table that states none [-]: about the least of the windward tables of the orbiter, so that a
 table of which nothing is known is not trusted more than those of which something is."""
-MOST_SAMPLES = 400
-"""Samples of the path that a prior is computed from, evenly chosen; errors of a table are smooth along it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +77,16 @@ def undeclared_derivatives(record: Record, names: Sequence[str]) -> dict[str, st
     }
 
 
-def table_prior(record: Record, names: Sequence[str], reference: Sequence[float]) -> TablePrior | None:
+def table_prior(
+    record: Record, names: Sequence[str], reference: Sequence[float], *, most_samples: int = 400
+) -> TablePrior | None:
     """The prior of a record's table for parameters of the linear model; None where the record has no table.
 
     names     : estimated parameters, of which those of the linear model with a table count
     reference : (5,) condition that the derivatives are about: alpha, beta [deg], log10 Re, elevon, body flap [deg]
     raises    : InputError where the fitted samples cannot distinguish the parameters
+    most_samples : samples of the path that a prior is computed from, evenly chosen; errors of a table are smooth along
+        it
     """
     table = record.ratio_table
     named = tuple(n for n in names if n == "ratio.scale" or variables_of(n))
@@ -92,7 +94,7 @@ def table_prior(record: Record, names: Sequence[str], reference: Sequence[float]
         return None
     path = record_path(record)
     chosen = np.zeros(len(path.x), dtype=bool)
-    chosen[:: -(-len(path.x) // MOST_SAMPLES)] = True
+    chosen[:: -(-len(path.x) // most_samples)] = True
     path = path.subset(chosen)
     P = projection(named, path, np.asarray(reference, dtype=float))
     covariance = _of_stated_sigma(table, path, P) if has_sigma(table) else _of_default_sigma(path, P)

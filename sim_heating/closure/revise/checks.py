@@ -13,12 +13,8 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import AT, EFFECT_PREFIX, SHORT_NAMES
 from sim_heating.estimation.report.estimate_file import PAIR, Estimate
 
-MIN_SIGMA, MAX_VALUE = 1e-12, 1e3
+MIN_SIGMA = 1e-12
 """Least sigma and largest value of an estimated ratio parameter that are accepted."""
-MIN_EIGENVALUE = 1e-12
-"""Least eigenvalue [-] of the correlation of ratio parameters: below it a combination of them is known exactly."""
-ROUNDING = 1e-6
-"""By how much a reference condition may lie outside what was flown [deg, -]: the rounding of a mean."""
 
 
 def check_estimate(estimate: Estimate, name: str) -> None:
@@ -51,23 +47,27 @@ def _check_whole(estimate: Estimate, name: str) -> None:
         )
 
 
-def _check_value(estimate: Estimate, label: str, name: str) -> None:
+def _check_value(estimate: Estimate, label: str, name: str, *, max_value: float = 1e3) -> None:
     """A plausible value with a plausible sigma."""
     value, sigma = estimate.parameters[label].value, estimate.parameters[label].sigma
     where = f"{name}, [parameters.{label}]"
-    if abs(value) > MAX_VALUE:
+    if abs(value) > max_value:
         raise InputError(
-            f"{where}: `value`: {value:g} is beyond {MAX_VALUE:g}, which is no heating ratio; estimate it again"
+            f"{where}: `value`: {value:g} is beyond {max_value:g}, which is no heating ratio; estimate it again"
         )
     if label.partition(AT)[0] == "ratio.scale" and value <= -1.0:
         raise InputError(f"{where}: `value`: {value:g} leaves no heating (-1 removes all of it); estimate it again")
-    if not MIN_SIGMA <= sigma <= MAX_VALUE:
-        span = f"{MIN_SIGMA:g} to {MAX_VALUE:g}"
+    if not MIN_SIGMA <= sigma <= max_value:
+        span = f"{MIN_SIGMA:g} to {max_value:g}"
         raise InputError(f"{where}: `sigma`: {sigma:g} is not within {span}; estimate it again")
 
 
-def _check_correlation(estimate: Estimate, labels: list[str], name: str) -> None:
-    """All correlations within each control point, and a positive definite matrix of them."""
+def _check_correlation(estimate: Estimate, labels: list[str], name: str, *, min_eigenvalue: float = 1e-12) -> None:
+    """All correlations within each control point, and a positive definite matrix of them.
+
+    min_eigenvalue : least eigenvalue [-] of the correlation of ratio parameters: below it a combination of them is
+        known exactly
+    """
     of_one_point = [(a, b) for a, b in combinations(labels, 2) if a.partition(AT)[2] == b.partition(AT)[2]]
     pairs = [(f"{a}{PAIR}{b}", f"{b}{PAIR}{a}") for a, b in of_one_point]
     missing = [pair for pair, turned in pairs if not {pair, turned} & estimate.correlation.keys()]
@@ -75,7 +75,7 @@ def _check_correlation(estimate: Estimate, labels: list[str], name: str) -> None
         found = f"{len(missing)} of {len(pairs)} pairs are missing, `{missing[0]}` first"
         raise InputError(f"{name}, [correlation]: {found}; estimate it again")
     values, vectors = np.linalg.eigh(estimate.correlation_matrix(tuple(labels)))
-    if labels and values[0] < MIN_EIGENVALUE:
+    if labels and values[0] < min_eigenvalue:
         alike = " and ".join(label for label, v in zip(labels, vectors[:, 0], strict=True) if abs(v) > 0.3)
         raise InputError(
             f"{name}, [correlation]: is not positive definite (a combination of {alike} would have no error at all); "
@@ -83,12 +83,15 @@ def _check_correlation(estimate: Estimate, labels: list[str], name: str) -> None
         )
 
 
-def _check_reference(estimate: Estimate, labels: list[str], name: str) -> None:
-    """A reference condition that was flown, in the variables that an estimated derivative multiplies."""
+def _check_reference(estimate: Estimate, labels: list[str], name: str, *, rounding: float = 1e-6) -> None:
+    """A reference condition that was flown, in the variables that an estimated derivative multiplies.
+
+    rounding : by how much a reference condition may lie outside what was flown [deg, -]: the rounding of a mean
+    """
     terms = {part for label in labels for part in label.partition(AT)[0].rstrip("2").split("_")[1:]}
     for short, variable in zip(SHORT_NAMES, RATIO_VARIABLES, strict=True):
         flown, about = estimate.excursions.get(variable), getattr(estimate.reference_condition, variable)
-        if short in terms and flown is not None and not flown.min - ROUNDING <= about <= flown.max + ROUNDING:
+        if short in terms and flown is not None and not flown.min - rounding <= about <= flown.max + rounding:
             raise InputError(
                 f"{name}, [reference_condition]: `{variable}`: {about:g} lies outside the {flown.min:g} to "
                 f"{flown.max:g} that were flown; estimate again with a --reference within them"

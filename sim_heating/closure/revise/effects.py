@@ -35,12 +35,8 @@ from sim_heating.heating.ratio.uncertainty import Posterior, node_weights
 from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.inputs.vehicle_files import ControlPointFile
 
-DIGITS = 6
-"""Significant digits of a written value, far below any sigma."""
 OF_RECORD = "belongs to the record, not to the vehicle"
 NOT_ESTIMATED = "was in the fit, but nothing of it was estimated"
-NOTICED = 0.005
-"""Change of the turbulent heating [-] from which a line says that it is not in the vehicle."""
 BOM = "\ufeff"
 
 
@@ -86,6 +82,8 @@ def effects_from_fit(
     point: ControlPoint,
     flown: str,
     made: str,
+    *,
+    digits: int = 6,
 ) -> FittedEffects:
     """The effects of one control point by an estimate, but for those that its ratio table takes.
 
@@ -94,6 +92,7 @@ def effects_from_fit(
     path            : the control point's file
     flown, made     : records and times, and the revision's own file, for the `source` of an effect
     raises          : InputError where an effect is unknown, a value outside its bounds, or the file cannot be edited
+    digits : significant digits of a written value, far below any sigma
     """
     in_table = {u.effect.name for u in flight.in_table}
     given_table = {
@@ -118,7 +117,7 @@ def effects_from_fit(
         else:
             # Rounded before it is used, so that the errors reported for the revision are those of the file as written.
             values = parameter_values(used) if stays is None else _on_revised_table(used, *stays)
-            fitted.append(use(name, {n: float(f"{v:.{DIGITS}g}") for n, v in values.items()}))
+            fitted.append(use(name, {n: float(f"{v:.{digits}g}") for n, v in values.items()}))
     after = _merged(point.effects, fitted)
     check_count(after, point.name)
     raw = raw_text(path)
@@ -166,11 +165,16 @@ def _laminar_change(used: EffectUse, path: FlownPath, point: ControlPoint, table
     return float(np.average(updated / np.where(weight > 0.0, path.declared, 1.0), weights=weight))
 
 
-def _turbulent_left(used: EffectUse, path: FlownPath, point: ControlPoint, table: Posterior) -> str:
+def _turbulent_left(
+    used: EffectUse, path: FlownPath, point: ControlPoint, table: Posterior, *, noticed: float = 0.005
+) -> str:
     """What the turbulent table lacks where the fit changed laminar and turbulent heating together, as the end of a
-    line."""
+    line.
+
+    noticed : change of the turbulent heating [-] from which a line says that it is not in the vehicle
+    """
     change = _laminar_change(used, path, point, table) - 1.0
-    if abs(change) < NOTICED:
+    if abs(change) < noticed:
         return ""
     side = "above" if change > 0.0 else "below"
     return (

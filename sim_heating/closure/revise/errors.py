@@ -28,8 +28,6 @@ from sim_heating.simulation.predict import predict
 
 HELD = 1.15
 """Error with the new table over that of the fit [-] up to which the table counts as holding the fit."""
-LEAST_LOSS = 0.2
-"""Part of the error with the new table [-] from which on a cause of it is named."""
 REST = "the form of its ratio between nodes, and heating of which nothing was read"
 """What is left where all else is added."""
 NOT_MARCHED = (EFFECT_PREFIX, SENSOR_PREFIX, OF_START, *RECORD_PARAMETERS)
@@ -113,7 +111,11 @@ def held_fits(update: TableUpdate) -> dict[str, HeldFit]:
     return {record.name: _held_fit(update, record, start) for record, start in zip(update.records, starts, strict=True)}
 
 
-def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None) -> HeldFit:
+def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None, *, least_loss: float = 0.2) -> HeldFit:
+    """The fit of a record with a new table held.
+
+    least_loss : part of the error with the new table [-] from which on a cause of it is named
+    """
     mask, values = record.fit_mask(), _values(update, record)
     parameters = {n: v for n, v in values.items() if not n.startswith(NOT_MARCHED)}
     effects = [u for e in update.estimate.effects if (u := fitted_use(update.estimate, e.name)) is not None]
@@ -140,8 +142,8 @@ def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None) ->
             causes[m.what] = _reduction(after_K, rmse_K(*_with(models["after"], fit, [m]), **m.of_readings))
         every = {key: value for m in missing for key, value in m.of_readings.items()}
         causes[REST] = _reduction(rmse_K(*_with(models["after"], fit, missing), **every), fit_K)
-    named = {what: loss for what, loss in causes.items() if loss > LEAST_LOSS * after_K}
-    if start is not None and (loss := _reduction(from_entry_K, after_K)) > LEAST_LOSS * from_entry_K:
+    named = {what: loss for what, loss in causes.items() if loss > least_loss * after_K}
+    if start is not None and (loss := _reduction(from_entry_K, after_K)) > least_loss * from_entry_K:
         named[f"heating before {start.time_s:g} s, where the fit begins"] = loss
     before_K = rmse_K(*models["before"])
     return HeldFit(record.noise_floor_K(), fit_K, before_K, after_K, from_entry_K, named)

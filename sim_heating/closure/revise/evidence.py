@@ -43,16 +43,8 @@ from sim_heating.inputs.points import check_reference
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 
-OUTSIDE_SHARE = 0.1
-"""Share of the fitted samples outside a table's axes above which it is not updated."""
-MOST_SAMPLES = 240
-"""Samples of the path that are kept as evidence, evenly chosen."""
-LEAST_PART = 0.002
-"""Laminar, or turbulent, part of the heating of a sample that informs the table of it [-]."""
 OF_START = "initial."
 """Begin of the names of unknown temperatures at the start of a fit."""
-LEAST_WEIGHT = 1e-5
-"""Weight of all samples together, of 1, below which a table is not informed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,10 +195,13 @@ def flight_evidence(
     )
 
 
-def _evenly(count: int) -> BoolArray:
-    """(count,) mask of at most MOST_SAMPLES samples."""
+def _evenly(count: int, *, most_samples: int = 240) -> BoolArray:
+    """(count,) mask of at most `most_samples` samples.
+
+    most_samples : samples of the path that are kept as evidence, evenly chosen
+    """
     chosen = np.zeros(count, dtype=bool)
-    chosen[:: -(-count // MOST_SAMPLES)] = True
+    chosen[:: -(-count // most_samples)] = True
     return chosen
 
 
@@ -280,7 +275,7 @@ class _FittedRatio:
 
 
 def _marched(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
-    """The samples on which the fitted temperatures of all records depend, at most MOST_SAMPLES."""
+    """The samples on which the fitted temperatures of all records depend, at most `most_samples`."""
     transition, parts = fitted_use(estimate, TRANSITION), []
     for i, record in enumerate(records):
         whole = [[float(record.time_s[0]), float(record.time_s[-1])]]
@@ -295,11 +290,20 @@ def _marched(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
 
 
 def _flown(
-    fit: _FittedRatio, path: FlownPath, table: RatioTable, by_table: bool, *, is_turbulent: bool
+    fit: _FittedRatio,
+    path: FlownPath,
+    table: RatioTable,
+    by_table: bool,
+    *,
+    is_turbulent: bool,
+    least_part: float = 0.002,
+    least_weight: float = 1e-5,
 ) -> FlownRatio | None:
     """The ratio of a fit where the flow was laminar, or turbulent; None where it was so for too short a time.
 
     table    : before any revision;  by_table : whether a turbulent table takes what was turbulent
+    least_part : laminar, or turbulent, part of the heating of a sample that informs the table of it [-]
+    least_weight : weight of all samples together, of 1, below which a table is not informed
     """
     # (dT/dr)^2 of a wall near radiation equilibrium at equal ratio; path.weight is the square of the heat flux.
     weight = path.weight**0.25
@@ -307,10 +311,10 @@ def _flown(
     part = np.ones(len(path.x))
     if by_table:
         part = path.turbulent if is_turbulent else 1.0 - path.turbulent
-    weight, used = weight * part**2, part >= LEAST_PART
+    weight, used = weight * part**2, part >= least_part
     for axis, x in zip(table.axes, path.x.T, strict=True):
         used &= (len(axis) == 1) | ((x >= axis[0]) & (x <= axis[-1]))
-    if np.sum(weight[used]) < LEAST_WEIGHT:
+    if np.sum(weight[used]) < least_weight:
         return None
     path, weight = path.subset(used), weight[used]
     factor = path.by_table if is_turbulent else np.ones(len(path.x))
@@ -337,12 +341,15 @@ def fitted_use(estimate: Estimate, name: str) -> EffectUse | None:
     return use(name, in_force.get(name, {}) | estimated) if name in in_force or estimated else None
 
 
-def _inside(path: FlownPath, point: ControlPoint) -> tuple[FlownPath, int]:
-    """The samples inside the table's axes (an axis of one value has no outside), and how many lie outside."""
+def _inside(path: FlownPath, point: ControlPoint, *, outside_share: float = 0.1) -> tuple[FlownPath, int]:
+    """The samples inside the table's axes (an axis of one value has no outside), and how many lie outside.
+
+    outside_share : share of the fitted samples outside a table's axes above which it is not updated
+    """
     out = np.zeros(len(path.x), dtype=bool)
     for name, axis, x in zip(RATIO_VARIABLES, point.ratio.axes, path.x.T, strict=True):
         beyond = (len(axis) > 1) & ((x < axis[0]) | (x > axis[-1]))
-        if np.mean(beyond) > OUTSIDE_SHARE:
+        if np.mean(beyond) > outside_share:
             raise InputError(
                 f"{point.declared.ratio_table}: {name} lay outside its {axis[0]:g} to {axis[-1]:g} for "
                 f"{np.mean(beyond):.0%} of the fitted samples ({x.min():.4g} to {x.max():.4g}); extend the table first"

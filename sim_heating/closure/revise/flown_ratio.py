@@ -10,8 +10,8 @@ and the table's own ratio there is W n. The table is to be this function over th
 
 B e is the error of the fit, of as many dimensions as it has parameters. s is by how much the function of the table may
 differ from the form of the fit: its weighted mean square is tau^2, whatever the number of samples, so that a longer or
-a denser record adds no information. tau is SHAPE of the table's own sigma: small against it, so that the table has the
-form of the fit where it flew, and above 0, so that nothing is taken to be known exactly.
+a denser record adds no information. tau is a small part of the table's own sigma, so that the table has the form of the
+fit where it flew, and above 0, so that nothing is taken to be known exactly.
 
 w_t is the square of dT/dr of a wall near radiation equilibrium, T ~ q^(1/4), at equal ratio: the square root of the
 heat flux. The samples of a turbulent boundary layer inform the turbulent table, those of a laminar one the laminar
@@ -32,13 +32,6 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import Evidence, node_weights
-
-SHAPE = 0.003
-"""tau over the sigma of the table along the path [-]."""
-WORST = 0.02
-"""Part of the samples, those that lie farthest from what the nodes give, by which the nodes are judged."""
-NEGLIGIBLE = 1e-9
-"""Singular value, over the largest, below which a combination of the parameters changes nothing along the path."""
 
 
 def _unknown(x: FloatArray) -> FloatArray:
@@ -83,21 +76,21 @@ class FlownRatio:
         """
         nodes, A, r, E = self._weighted(axes)
         U, s, _ = np.linalg.svd(E, full_matrices=False)
-        kept = s > NEGLIGIBLE * np.max(s, initial=0.0)
+        kept = s > 1e-9 * np.max(s, initial=0.0)  # others change nothing along the path
         U, s = U[:, kept], s[kept]
         return Evidence(self.names, nodes, U.T @ A, U.T @ r, np.diag(s**2))
 
     def misfit(self, axes: Sequence[FloatArray]) -> float:
         """How far the ratio lies from that between nodes of these axes that have it themselves, over the ratio [-].
 
-        Root mean square of the samples that lie farthest, the part WORST of all.
+        Root mean square of the samples that lie farthest, 2 % of all.
         """
         W = node_weights(axes, self.x)
         nodes = np.unique(W.indices)
         places = np.unravel_index(nodes, [len(a) for a in axes])
         at_nodes = self.ratio_at(np.stack([a[i] for a, i in zip(axes, places, strict=True)], axis=1))
         off = self.ratio - W[:, nodes] @ at_nodes
-        worst = np.sort(off**2)[-max(int(WORST * len(off)), 1) :]
+        worst = np.sort(off**2)[-max(int(0.02 * len(off)), 1) :]
         return float(np.sqrt(np.mean(worst) / np.average(self.ratio**2, weights=self.weight)))
 
     def form_covariance(self, names: Sequence[str]) -> FloatArray:
@@ -145,11 +138,12 @@ FlightMeasurement = FlownRatio | NodeEvidence
 """What a revision took from a flight."""
 
 
-def shape_sigma(table: RatioTable, x: FloatArray, weight: FloatArray) -> float:
-    """tau [-] of a table along a path: SHAPE times the root mean square of its sigma.
+def shape_sigma(table: RatioTable, x: FloatArray, weight: FloatArray, *, shape_error: float = 0.003) -> float:
+    """tau [-] of a table along a path: `shape_error` times the root mean square of its sigma.
 
     x : (m, 5) conditions, [deg] and [-];  weight : (m,) w [-]
+    shape_error : tau over the sigma of the table along the path [-]
     """
     assert table.sigma is not None  # checked by the caller
     sigma = node_weights(table.axes, x) @ table.sigma.ravel()
-    return SHAPE * float(np.sqrt(np.average(sigma**2, weights=weight)))
+    return shape_error * float(np.sqrt(np.average(sigma**2, weights=weight)))

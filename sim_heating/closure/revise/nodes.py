@@ -1,8 +1,8 @@
 """Nodes that a table needs to take the form of a fit: planes of its grid, put where the fit bends.
 
 The form of a linear model is that of a table with the nodes it has. An onset, a curvature, or a turbulent ratio bends
-within its cells. As long as the nodes leave more than MISFIT of the ratio, one is added where it leaves least: in each
-flown variable places are tried over the flown range, and the best is refined. A node by itself changes no ratio and no
+within its cells. As long as the nodes leave too much of the ratio, one is added where it leaves least: in each flown
+variable places are tried over the flown range, and the best is refined. A node by itself changes no ratio and no
 sigma (heating/ratio/uncertainty.py, `on_axes`).
 """
 
@@ -17,56 +17,63 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.closure.revise.flown_ratio import FlownRatio
 
-MISFIT = 4e-3
-"""Part of the ratio that the nodes may leave where they fit worst [-]: a quarter of it in temperature, 1 K at 1000 K,
-about the noise of a thermocouple."""
-MOST_ADDED = 6
-"""Nodes that one revision adds to a table at most."""
-MOST_NODES = 20000
-"""Nodes of a table that is not enlarged."""
-LEAST_GAIN = 0.1
-"""Part by which a further node must reduce the misfit."""
-TRIED = 17
-"""Places that are tried in each variable."""
 LEAST_EXCURSION = {"alpha_deg": 1.0, "beta_deg": 0.5, "log10_re": 0.05, "elevon_deg": 1.0, "bodyflap_deg": 1.0}
 """Excursion [deg], or [-] for log10_re, below which a variable takes no node."""
-DECIMALS = {"alpha_deg": 2, "beta_deg": 2, "log10_re": 3, "elevon_deg": 2, "bodyflap_deg": 2}
-"""Decimals of the place of an added node."""
 
 
-def axes_for(flown: FlownRatio, axes: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-    """The axes with the nodes that the form of a fit needs, [deg] and [-]; unchanged where it needs none."""
+def axes_for(
+    flown: FlownRatio,
+    axes: Sequence[FloatArray],
+    *,
+    max_misfit: float = 4e-3,
+    most_added: int = 6,
+    least_gain: float = 0.1,
+) -> tuple[FloatArray, ...]:
+    """The axes with the nodes that the form of a fit needs, [deg] and [-]; unchanged where it needs none.
+
+    max_misfit : part of the ratio that the nodes may leave where they fit worst [-]: a quarter of it in temperature, 1
+        K at 1000 K, about the noise of a thermocouple
+    most_added : nodes that one revision adds to a table at most
+    least_gain : part by which a further node must reduce the misfit
+    """
     found = tuple(axes)
     left = flown.misfit(found)
-    for _ in range(MOST_ADDED):
-        if left <= MISFIT:
+    for _ in range(most_added):
+        if left <= max_misfit:
             break
         better = _with_best_node(flown, found)
-        if better is None or better[1] > (1.0 - LEAST_GAIN) * left:
+        if better is None or better[1] > (1.0 - least_gain) * left:
             break
         found, left = better
     return found
 
 
-def _with_best_node(flown: FlownRatio, axes: tuple[FloatArray, ...]) -> tuple[tuple[FloatArray, ...], float] | None:
-    """Axes with one more node, the one that leaves the least misfit, and this misfit; None where there is none."""
+def _with_best_node(
+    flown: FlownRatio, axes: tuple[FloatArray, ...], *, most_nodes: int = 20000, values_tried: int = 17
+) -> tuple[tuple[FloatArray, ...], float] | None:
+    """Axes with one more node, the one that leaves the least misfit, and this misfit; None where there is none.
+
+    most_nodes : nodes of a table that is not enlarged
+    values_tried : places that are tried in each variable
+    """
     found = []
     for i, name in enumerate(RATIO_VARIABLES):
         low, high = float(flown.x[:, i].min()), float(flown.x[:, i].max())
         size = int(np.prod([len(a) for a in axes])) // len(axes[i]) * (len(axes[i]) + 1)
-        if len(axes[i]) == 1 or high - low < LEAST_EXCURSION[name] or size > MOST_NODES:
+        if len(axes[i]) == 1 or high - low < LEAST_EXCURSION[name] or size > most_nodes:
             continue
-        places = np.linspace(low, high, TRIED + 2)[1:-1]
+        decimals = 3 if name == "log10_re" else 2
+        places = np.linspace(low, high, values_tried + 2)[1:-1]
         left = [flown.misfit(_with_node(axes, i, p)) for p in places]
         best = int(np.argmin(left))
         step = places[1] - places[0]
         refined = minimize_scalar(
             lambda p, i=i: flown.misfit(_with_node(axes, i, p)),
             bounds=(places[best] - step, places[best] + step), method="bounded",
-            options={"xatol": 0.5 * 10.0 ** -DECIMALS[name]},
+            options={"xatol": 0.5 * 10.0**-decimals},
         )  # fmt: skip
         place = float(refined.x if refined.fun < left[best] else places[best])
-        new = _with_node(axes, i, round(place, DECIMALS[name]))
+        new = _with_node(axes, i, round(place, decimals))
         found.append((new, flown.misfit(new)))
     return min(found, key=lambda f: f[1], default=None)
 

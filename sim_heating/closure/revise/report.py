@@ -27,14 +27,8 @@ from sim_heating.closure.revise.evidence import OF_START, ratio_names
 from sim_heating.closure.revise.revision_file import RevisionFile
 from sim_heating.closure.revise.revisions import revising
 from sim_heating.closure.revise.table_effects import added_ratio
-from sim_heating.closure.revise.update import (
-    MIN_P_VALUE,
-    TableChange,
-    TableUpdate,
-    check_target,
-    prepare_update,
-    write_update,
-)
+from sim_heating.closure.revise.update import TableChange, TableUpdate, check_target, prepare_update, write_update
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.report.ratio_plot import (
     AFTER,
     BEFORE,
@@ -49,13 +43,6 @@ from sim_heating.estimation.report.ratio_plot import (
 from sim_heating.heating.ratio.uncertainty import Posterior, estimated_ratio, node_weights
 from sim_heating.inputs.record import Record, load_records
 from sim_heating.inputs.vehicle import vehicle_directory
-
-MAX_ROWS = 16
-"""Nodes that are shown; the revision's file contains all."""
-ROUNDING = 1e-6
-"""Part of its sigma below which a value is only rounding."""
-REPORTED_SHIFT = 1.0
-"""Shift of an effect's parameter from the fit, in its sigma, above which it is reported."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -164,11 +151,14 @@ def update_report(updated: UpdatedTables) -> Iterator[Table | str]:
     yield from _cautions(update)
 
 
-def _difference_table(update: TableUpdate, changed: TableChange, what: str) -> Table:
-    """The nodes that change most, by their sigma before."""
+def _difference_table(update: TableUpdate, changed: TableChange, what: str, *, max_rows: int = 16) -> Table:
+    """The nodes that change most, by their sigma before.
+
+    max_rows : nodes that are shown; the revision's file contains all
+    """
     nodes = {name: np.array(values) for name, values in changed.changed_nodes().items()}
     change = np.abs(nodes["ratio_after"] - nodes["ratio_before"]) / np.maximum(nodes["sigma_before"], 1e-300)
-    shown = np.sort(np.argsort(-change, kind="stable")[:MAX_ROWS])
+    shown = np.sort(np.argsort(-change, kind="stable")[:max_rows])
     count = f"{len(change)} of {changed.table.ratio.size} nodes of the {what} change"
     some = f", the {len(shown)} that change most by their sigma" if len(shown) < len(change) else ""
     old, axes = update.history.revision, zip(SHORT_NAMES, RATIO_VARIABLES, changed.table.axes, strict=True)
@@ -197,9 +187,12 @@ def _parameters_table(update: TableUpdate) -> Table:
     return Table("Each parameter: as estimated, and by the table", columns, rows)
 
 
-def _with_sigma(value: float, sigma: float) -> str:
-    """A value with its bound; a value that is only rounding is shown as 0."""
-    return f"{value if abs(value) > ROUNDING * sigma else 0.0:.4g} +- {sigma:.2g}"
+def _with_sigma(value: float, sigma: float, *, rounding: float = 1e-6) -> str:
+    """A value with its bound; a value that is only rounding is shown as 0.
+
+    rounding : part of its sigma below which a value is only rounding
+    """
+    return f"{value if abs(value) > rounding * sigma else 0.0:.4g} +- {sigma:.2g}"
 
 
 def _effects_table(update: TableUpdate) -> Table:
@@ -249,13 +242,16 @@ def _not_held(held: Mapping[str, HeldFit]) -> Iterator[str]:
             yield f"{name}: not in the tables: {what}, {loss:.2f} K"
 
 
-def _cautions(update: TableUpdate) -> Iterator[str]:
-    """Lines that a person should read before trusting the revision."""
+def _cautions(update: TableUpdate, *, reported_shift: float = 1.0) -> Iterator[str]:
+    """Lines that a person should read before trusting the revision.
+
+    reported_shift : shift of an effect's parameter from the fit, in its sigma, above which it is reported
+    """
     for name, reason in update.not_written.items():
         if not name.startswith(OF_START):  # temperatures at the start are the flight's own
             yield f"{name}: not written, {reason}"
     for name, shift in update.effects.shift_sigmas.items():
-        if shift > REPORTED_SHIFT:
+        if shift > reported_shift:
             yield f"{name}: the table's sigma shifts it by {shift:.1f} sigma from the fit, by a linear estimate"
     for name in update.effects.not_fitted:
         yield (
@@ -265,7 +261,7 @@ def _cautions(update: TableUpdate) -> Iterator[str]:
     if update.flight.outside:
         yield f"{update.flight.outside} fitted samples lay outside the table and were omitted"
     for change in update.changes:
-        if change.p_value < MIN_P_VALUE:
+        if change.p_value < POLICY.contradicted_p:
             yield (
                 "The flight is farther from the table than its sigma allows (chi-square "
                 f"{change.chi_square:.1f} on {change.freedom}, p-value {change.p_value:.1g}): the sigma column or the "

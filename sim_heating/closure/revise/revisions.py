@@ -50,13 +50,6 @@ from sim_heating.inputs.vehicle import Vehicle
 FOLDER = "ratio_revisions"
 TURBULENT = "turbulent.csv"
 """Kind of file of a turbulent table before a revision."""
-WAIT_S = 3600.0
-"""Longest wait for another process that revises the same vehicle [s]; its predictions may take minutes."""
-RATIO_TOLERANCE, SIGMA_TOLERANCE = 1e-5, 2e-3
-"""Relative differences of ratio and sigma by which a table may be away from what its evidence makes it: it is rounded
-to 6 and 4 digits."""
-ROUNDING = 1e-6
-"""Difference that counts as rounding, relative to the largest value of a table."""
 
 
 @dataclass(frozen=True)
@@ -239,11 +232,14 @@ def _with_measurements(
 
 def _makes(
     base: RatioTable, measured: Sequence[FlightMeasurement], reach: Mapping[str, float], before: RatioTable,
-    table: RatioTable,
+    table: RatioTable, *, ratio_tolerance: float = 1e-5, sigma_tolerance: float = 2e-3, rounding: float = 1e-6,
 ) -> bool:  # fmt: skip
     """Whether evidence makes a table, to rounding.
 
     base : the table before any of it;  before : the table before the last of it
+    ratio_tolerance, sigma_tolerance : relative differences of ratio and sigma by which a table may be away from what
+        its evidence makes it: it is rounded to 6 and 4 digits
+    rounding : difference that counts as rounding, relative to the largest value of a table
     """
     if any(not np.all(np.isin(a, b)) for a, b in zip(before.axes, table.axes, strict=True)) or table.sigma is None:
         return False
@@ -252,8 +248,8 @@ def _makes(
     assert old.sigma is not None  # of a table that was revised
     sigma = np.minimum(made.sigma, old.sigma)
     return np.allclose(
-        table.ratio, made.ratio, rtol=RATIO_TOLERANCE, atol=ROUNDING * np.abs(made.ratio).max()
-    ) and np.allclose(table.sigma, sigma, rtol=SIGMA_TOLERANCE, atol=ROUNDING * sigma.max())
+        table.ratio, made.ratio, rtol=ratio_tolerance, atol=rounding * np.abs(made.ratio).max()
+    ) and np.allclose(table.sigma, sigma, rtol=sigma_tolerance, atol=rounding * sigma.max())
 
 
 def table_posterior(vehicle: Vehicle, point: str) -> Posterior | None:
@@ -292,7 +288,8 @@ def revising(directory: str | os.PathLike[str], progress: Progress = no_progress
     raises   : InputError where that does not end, or the vehicle cannot be written
     """
     text = f"waiting for another process that revises {display_path(directory)}"
-    with exclusive(directory, wait_s=WAIT_S, waiting=lambda: progress(0.0, text)):
+    # the predictions of the other one may take minutes
+    with exclusive(directory, wait_s=3600.0, waiting=lambda: progress(0.0, text)):
         yield
 
 

@@ -23,8 +23,6 @@ PLACES = (flight.alpha_deg, flight.beta_deg, flight.log10_re, flight.elevon_deg,
 OTHER_CONDITIONS = (1.0, 3.0)
 """Values of all other conditions, and of the wall temperature in 1000 K, between which an effect of the table does not
 change."""
-STEP = 1e-4
-"""Step of a derivative, over the scale of the parameter."""
 
 
 def is_of_table(used: EffectUse, x: FloatArray) -> bool:
@@ -52,16 +50,19 @@ def added_ratio(used: EffectUse, x: FloatArray, reference: FloatArray) -> FloatA
     return _kernel_values(used, x, OTHER_CONDITIONS[0])
 
 
-def derivatives(used: EffectUse, names: Sequence[str], x: FloatArray, reference: FloatArray) -> FloatArray:
+def derivatives(
+    used: EffectUse, names: Sequence[str], x: FloatArray, reference: FloatArray, *, difference: float = 1e-4
+) -> FloatArray:
     """(m, k) derivative of the added ratio with respect to parameters of the effect, by central differences.
 
     names : of the parameters within the effect;  x, reference : as `added_ratio` takes them
+    difference : step of a derivative, over the scale of the parameter
     """
     columns = []
     for name in names:
         i = next(i for i, p in enumerate(used.effect.parameters) if p.name == name)
         p = used.effect.parameters[i]
-        step = STEP * max(abs(used.values[i]), p.sigma, STEP)
+        step = difference * max(abs(used.values[i]), p.sigma, difference)
         ends = [
             added_ratio(EffectUse(used.effect, (*used.values[:i], v, *used.values[i + 1 :])), x, reference)
             for v in (used.values[i] - step, used.values[i] + step)

@@ -23,6 +23,7 @@ from sim_heating.base.files.package import data_folders, package_version
 from sim_heating.base.files.paths import make_durable, os_error_reason, real_path
 from sim_heating.base.files.transaction import LOCK, STAGING, staged
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
+from sim_heating.closure.result import PARTLY, UNKNOWN
 from sim_heating.closure.revise.checks import check_estimate
 from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit, parameter_values
 from sim_heating.closure.revise.evidence import FlightEvidence, flight_evidence, is_effect
@@ -38,7 +39,6 @@ from sim_heating.closure.revise.revisions import (
     revision_path,
     write_revision,
 )
-from sim_heating.closure.statement import PARTLY, UNKNOWN
 from sim_heating.estimation.report.estimate_file import NAME, Estimate, EstimatedParameter, correlations, read_estimate
 from sim_heating.heating.edge_flow import Atoms, EdgeFlow, edge_flow
 from sim_heating.heating.ratio.table import RatioTable
@@ -46,11 +46,6 @@ from sim_heating.heating.ratio.uncertainty import UPDATE_REACH, Posterior, on_ax
 from sim_heating.inputs.record import Record, load_record, load_records, named_apart, record_digest
 from sim_heating.inputs.vehicle import FOLDER as VEHICLES
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, load_vehicle, vehicle_directory
-
-RATIO_DIGITS, SIGMA_DIGITS = 6, 4
-"""Significant digits of a changed node, far below any sigma."""
-MIN_P_VALUE = 1e-3
-"""p-value of the evidence under the table's own sigma below which the report warns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -424,14 +419,19 @@ def _check_not_used(history: TableHistory, used: Sequence[UsedRecord]) -> None:
                     )
 
 
-def _round_table(old: RatioTable, after: Posterior, header: dict[str, str]) -> RatioTable:
-    """The new table: changed nodes to a few digits, the others as they were, sigma nowhere larger."""
+def _round_table(
+    old: RatioTable, after: Posterior, header: dict[str, str], *, ratio_digits: int = 6, sigma_digits: int = 4
+) -> RatioTable:
+    """The new table: changed nodes to a few digits, the others as they were, sigma nowhere larger.
+
+    ratio_digits, sigma_digits : significant digits of a changed node, far below any sigma
+    """
     assert old.sigma is not None
-    ratio = _significant(after.ratio, RATIO_DIGITS)
+    ratio = _significant(after.ratio, ratio_digits)
     # Data never make a node less certain; rounding up must not either.
-    sigma = np.minimum(_significant(after.sigma, SIGMA_DIGITS), old.sigma)
+    sigma = np.minimum(_significant(after.sigma, sigma_digits), old.sigma)
     # Compared as rounded: nodes beyond the reach of the correlation keep every digit of their file.
-    same = (ratio == _significant(old.ratio, RATIO_DIGITS)) & (sigma == _significant(old.sigma, SIGMA_DIGITS))
+    same = (ratio == _significant(old.ratio, ratio_digits)) & (sigma == _significant(old.sigma, sigma_digits))
     return RatioTable(old.axes, np.where(same, old.ratio, ratio), np.where(same, old.sigma, sigma), header)
 
 

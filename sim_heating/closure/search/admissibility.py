@@ -13,21 +13,15 @@ import numpy as np
 
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX, Parameter, layer_parameter
-from sim_heating.closure.search.ranking import MAX_SCATTER
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects, fitted_values, sample_count
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.newton import Status
 from sim_heating.estimation.record_fit import sensor_definition
 from sim_heating.heating.effects import effects
 from sim_heating.march.ensemble import condition_history
 
-MIN_SIGMAS = 3.0
-"""Least distance of an effect's magnitude from none at all, in standard deviations."""
 OFF = "standard deviations off"
-NEAR = 2.0
-"""A bound within this many standard deviations of the nominal value is as good as any other, as for a sharp onset."""
-SETTLED = 0.5
-"""Gain in log posterior that a further step may predict where an iteration ended without converging."""
 
 
 def objections(trial: TrialFit, effects_of: Sequence[Candidate] = ()) -> tuple[str, ...]:
@@ -43,7 +37,7 @@ def objections(trial: TrialFit, effects_of: Sequence[Candidate] = ()) -> tuple[s
 
 def _convergence(trial: TrialFit) -> list[str]:
     fit = trial.fit
-    if fit.converged or (fit.status is not Status.NO_START and fit.predicted_gain < SETTLED):
+    if fit.converged or (fit.status is not Status.NO_START and fit.predicted_gain < POLICY.settled_gain):
         return []
     return ["its fit did not converge"]
 
@@ -60,14 +54,14 @@ def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
     names = [u.parameter.name for u in trial.problem.unknowns]
     for name, p in _definitions(trial, candidate).items():
         value, own = found[name], name.rpartition(".")[2]
-        if trial.fit.on_bound[names.index(name)] and not abs(value - p.value) <= NEAR * p.sigma:
+        if trial.fit.on_bound[names.index(name)] and not abs(value - p.value) <= POLICY.near_bound_sigmas * p.sigma:
             line = [f"{own} is on its bound, {value:g}"]
         elif name in candidate.with_prior and not _has_any_size(trial, name):
             line = _off(own, value, p)
         else:
             continue
         # where rise and fall of a form cancel, its magnitude by itself says nothing of what it does
-        if line and not _net_change(trial, candidate, own) <= MAX_SCATTER * p.sigma:
+        if line and not _net_change(trial, candidate, own) <= POLICY.max_scatter_sigmas * p.sigma:
             lines += line
     return lines
 
@@ -97,7 +91,11 @@ def _net_change(trial: TrialFit, candidate: Candidate, own: str) -> float:
 def _off(name: str, value: float, p: Parameter) -> list[str]:
     """A line where a value is further from the nominal one than the declared scatter allows."""
     off = abs(value - p.value)
-    return [] if off <= MAX_SCATTER * p.sigma else [f"{name} = {value:.3g} is {off / p.sigma:.1f} {OFF} {p.value:g}"]
+    return (
+        []
+        if off <= POLICY.max_scatter_sigmas * p.sigma
+        else [f"{name} = {value:.3g} is {off / p.sigma:.1f} {OFF} {p.value:g}"]
+    )
 
 
 def far_from_declared(trial: TrialFit, candidate: Candidate) -> list[str]:
@@ -155,7 +153,7 @@ def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
     distance = float(np.sqrt(max(off[free] @ np.linalg.pinv(covariance) @ off[free], 0.0)))
     if candidate is trial.candidate:
         distance = max(distance, _gain_sigmas(trial))
-    return [] if distance >= MIN_SIGMAS else [f"its magnitude is {distance:.1f} standard deviations from none"]
+    return [] if distance >= POLICY.min_sigmas else [f"its magnitude is {distance:.1f} standard deviations from none"]
 
 
 def _gain_sigmas(trial: TrialFit) -> float:

@@ -16,32 +16,18 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
-from sim_heating.closure.search.adequacy import ADEQUATE, UNEXPLAINED, Adequacy, assess
-from sim_heating.closure.search.admissibility import MIN_SIGMAS, OFF, SETTLED, far_from_declared, objections
-from sim_heating.closure.search.changes.record_change import ChangeFit
-from sim_heating.closure.search.ranking import MAX_SCATTER, model_bic, prior_penalty, scatter_price
+from sim_heating.closure.search.admissibility import OFF, far_from_declared, objections
+from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
 from sim_heating.closure.search.simulated_records import RECORDS, with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
+from sim_heating.closure.verdict.adequacy import Adequacy, assess
+from sim_heating.closure.verdict.policy import POLICY
 
-MIN_BIC_GAIN = 10.0
-"""How much lower the score of an effect has to be than that of none, or of the model without it."""
-GAIN_OVER_ADEQUATE = 30.0
-"""The same where the declared model explains the record to its noise already. Errors of its form that noise hides, such
-as a table whose error is not linear, give some of this gain to any effect."""
-SET_MARGIN = 2.0 * float(np.log(20.0))
-"""Difference of scores within which hypotheses cannot be told apart: odds of 20 to 1."""
-TWIN_MARGIN = 40.0
-"""The same for physical twins, which an error of the model's form tells apart rather than the record."""
 TWINS = frozenset({"thickness_factor", "heat_capacity_factor"}), frozenset({CLOCK_SKEW.name, COMMON_LAG.name})
 """Parameters of one thing that act nearly alike: of a layer below the coating, whose thickness moves no thermocouple by
 much; a clock that is late, and thermocouples that lag."""
-LARGEST_ERROR = 0.15
-"""Relative error of the heating beyond which a model is no explanation of a record."""
-HELD_OUT_LOSS, PROMISED_GAIN = 1.0, 3.0
-"""Log density of what is held out that a cause may lose or has to gain, and the promise from which on it has to."""
-MIN_SHARE = 0.5
-"""Part of the excess chi-square that a hypothesis has to explain for the residual to resemble it."""
 
 
 def adequacy_of(trial: TrialFit, records: int = RECORDS) -> Adequacy:
@@ -59,7 +45,7 @@ class Hypothesis:
 
     trials     : its effects, each fitted on top of those before; the last one holds the values of all. The declared
                  model alone, or on a changed record, is the trial named `none`
-    change     : of the record; None where it is as declared
+    changed    : the fit of a change of the record; None where it is as declared
     objections : why it may not be named, empty where it may
     price      : of the number of forms tried of each of its effects, and of what else speaks against it, in units of
                  BIC
@@ -67,10 +53,15 @@ class Hypothesis:
     """
 
     trials: tuple[TrialFit, ...]
-    change: ChangeFit | None = None
+    changed: TrialFit | None = None
     objections: tuple[str, ...] = ()
     price: float = 0.0
     score: float = 0.0
+
+    @property
+    def change(self) -> RecordChange | None:
+        """The change of the record; None where it is as declared."""
+        return None if self.changed is None else self.changed.change
 
     @property
     def last(self) -> TrialFit:
@@ -80,14 +71,14 @@ class Hypothesis:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of its change, in words where no effect is it, and of its effects; none for the declared model."""
-        change = () if self.change is None else (self.change.change.name,)
+        change = () if self.change is None else (self.change.name,)
         return (*change, *(t.name for t in self.trials if t.name != "none"))
 
     @property
     def kind(self) -> str:
         """Kind of its first cause: "effect", "flight", "wall", "sensor", "table"; empty for the declared model."""
         if self.change is not None:
-            return "effect" if self.change.change.effect else self.change.change.kind
+            return "effect" if self.change.effect else self.change.kind
         if not self.names:
             return ""
         return "table" if self.names == (TABLE,) else "effect"
@@ -95,7 +86,7 @@ class Hypothesis:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of its effects, as a closure report has them."""
-        change = () if self.change is None or not self.change.change.effect else (self.change.change.effect,)
+        change = () if self.change is None or not self.change.effect else (self.change.effect,)
         return (*change, *(t.name for t in self.added))
 
     @property
@@ -115,8 +106,8 @@ class Hypothesis:
 
     @property
     def adequate(self) -> bool:
-        """Whether its p-value is at least ADEQUATE, or its residuals are noise that is larger than declared."""
-        return self.adequacy.p_value >= ADEQUATE or self.adequacy.unstructured
+        """Whether its p-value is at least `Policy.adequate_p`, or its residuals are noise larger than declared."""
+        return self.adequacy.p_value >= POLICY.adequate_p or self.adequacy.unstructured
 
     @property
     def excess_chi2(self) -> float:
@@ -140,29 +131,33 @@ def hypothesis(trials: Sequence[TrialFit], forms: Mapping[str, int]) -> Hypothes
 
 
 def change_hypothesis(
-    fit: ChangeFit, tried: int, against_motion: float = 0.0, contradictions: Sequence[str] = ()
+    trial: TrialFit, tried: int, against_motion: float = 0.0, contradictions: Sequence[str] = ()
 ) -> Hypothesis:
     """The hypothesis that the record is changed.
 
+    trial          : of the change
     tried          : number of changes of its family that were tried
     against_motion : what the motion of the flight says against the change, in units of BIC
     contradictions : of the change by the motion of the flight, a line each
     """
-    against = list(contradictions)
-    if not fit.fit.converged and not fit.fit.predicted_gain < SETTLED:
+    change, fit, against = trial.change, trial.whole_fit, list(contradictions)
+    assert change is not None
+    assert fit is not None
+    parameter = change.parameter
+    if not fit.converged and not fit.predicted_gain < POLICY.settled_gain:
         against.append("its fit did not converge")
-    if fit.on_bound:
-        against.append(f"{fit.change.what} is on its bound")
-    parameter = fit.change.parameter
-    if parameter is not None and abs(fit.value - parameter.value) < MIN_SIGMAS * fit.sigma:
-        against.append(f"{fit.change.what}: less than {MIN_SIGMAS:g} standard deviations from none")
-    counted = len(fit.change.free) + (1 if fit.change.in_model else 0)  # by the trial's own problem
-    more = (fit.change.unknowns - counted) * float(np.log(sample_count(fit.trial.problem)))
-    scatter = scatter_price(fit.deviation) + sum(map(scatter_price, fit.deviations_of_free))
+    if parameter is not None and bool(fit.on_bound[-1]):
+        against.append(f"{change.what} is on its bound")
+    if parameter is not None and abs(trial.value - parameter.value) < POLICY.min_sigmas * trial.sigma:
+        against.append(f"{change.what}: less than {POLICY.min_sigmas:g} standard deviations from none")
+    counted = len(change.free) + (1 if change.in_model else 0)  # by the trial's own problem
+    more = (change.unknowns - counted) * float(np.log(sample_count(trial.problem)))
+    scatter = scatter_price(trial.deviation) + sum(map(scatter_price, trial.deviations_of_free))
     price = 2.0 * float(np.log(max(tried, 1))) + more + scatter + against_motion
-    found = Hypothesis((fit.trial,), fit, tuple(against), price)
-    far = [] if fit.deviation <= MAX_SCATTER else [f"{fit.change.what} is {fit.deviation:.1f} {OFF} the declared value"]
-    return _with_far(found, far)
+    far = trial.deviation > POLICY.max_scatter_sigmas
+    lines = [f"{change.what} is {trial.deviation:.1f} {OFF} the declared value"] if far else []
+    # the last trial of a hypothesis goes to other processes and back, which a change cannot
+    return _with_far(Hypothesis((replace(trial, change=None, whole_fit=None),), trial, tuple(against), price), lines)
 
 
 def with_one_more(below: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) -> Hypothesis:
@@ -179,13 +174,13 @@ def with_one_more(below: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) 
     )
 
 
-def _with_far(found: Hypothesis, far: Sequence[str]) -> Hypothesis:
+def _with_far(h: Hypothesis, far: Sequence[str]) -> Hypothesis:
     """A hypothesis with the objection that a declared value is further off than it scatters.
 
     Such a fault of a declaration may have any size, but has to explain the record.
     """
-    explains = not far or found.adequate
-    return found if explains else replace(found, objections=(*found.objections, *far))
+    explains = not far or h.adequate
+    return h if explains else replace(h, objections=(*h.objections, *far))
 
 
 def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -221,11 +216,11 @@ def _not_predicted(none: Hypothesis, h: Hypothesis, scale: float) -> list[str]:
     if trial.held_out is None or declared.held_out is None or declared.held_out_chi2 == 0.0:
         return []
     gained = (trial.held_out_log_likelihood - declared.held_out_log_likelihood) / scale
-    if not gained >= -HELD_OUT_LOSS:
+    if not gained >= -POLICY.held_out_gain:
         return ["it predicts the segments held out worse than the declared model"]
     excess = 0.5 * sample_count(trial.held_out) * max(declared.held_out_chi2 - 1.0, 0.0) / scale
     share = (none.excess_chi2 - h.excess_chi2) / none.excess_chi2 if none.excess_chi2 > 0.0 else 0.0
-    if min(max(share, 0.0), 1.0) * excess >= PROMISED_GAIN and gained < HELD_OUT_LOSS:
+    if min(max(share, 0.0), 1.0) * excess >= POLICY.promised_gain and gained < POLICY.held_out_gain:
         return ["it explains what the fitted segments show, and nothing of those held out"]
     return []
 
@@ -269,17 +264,19 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     """
     admissible = [h for h in rated if h.admissible]
     best = admissible[0] if admissible else None
-    least = GAIN_OVER_ADEQUATE if none.adequate else MIN_BIC_GAIN
+    least = POLICY.min_gain_over_adequate if none.adequate else POLICY.min_gain
     if best is None or best.score > -least:
-        enough = UNEXPLAINED if none.last.size is None else ADEQUATE
+        enough = POLICY.contradicted_p if none.last.size is None else POLICY.adequate_p
         unexplained = none.adequacy.p_value < enough and not none.adequacy.unstructured
         unexplained |= not _small_error(none)
         margin = min((h.score for h in admissible), default=np.inf)
         return Conclusion("unknown" if unexplained else "none", none, (), float(margin))
     explained = none.excess_chi2 - best.excess_chi2
     share = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
-    inside = [h for h in admissible if h.score <= best.score + SET_MARGIN and len(h.names) == len(best.names)]
-    inside += [h for h in admissible if h not in inside and h.score <= best.score + TWIN_MARGIN and _is_twin(h, best)]
+    inside = [h for h in admissible if h.score <= best.score + POLICY.set_margin and len(h.names) == len(best.names)]
+    inside += [
+        h for h in admissible if h not in inside and h.score <= best.score + POLICY.twin_margin and _is_twin(h, best)
+    ]
     same = set(best.names)
     # another form under the same names is no rival
     outside = [h.score for h in admissible if h not in inside and set(h.names) != same] + [0.0]
@@ -290,7 +287,7 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     if best.adequate and _small_error(best):
         several = any(len(slot) > 1 for slot in alternatives)
         return Conclusion("one of" if several else "found", best, alternatives, rival, share, beaten)
-    if share >= MIN_SHARE:
+    if share >= POLICY.min_explained:
         return Conclusion("partly", best, alternatives, rival, share, beaten)
     return Conclusion("unknown", best, (), rival, share, beaten)
 
@@ -305,16 +302,16 @@ def _is_twin(h: Hypothesis, best: Hypothesis) -> bool:
 
 def _things(h: Hypothesis) -> set[tuple[str, str]]:
     """What the parameters of a hypothesis are of, and which: of layers by their names, and of the record."""
-    change = [] if h.change is None or h.change.change.parameter is None else [h.change.change.parameter.name]
+    change = [] if h.change is None or h.change.parameter is None else [h.change.parameter.name]
     names = {*change, *(n for t in h.trials for n in t.candidate.model_names)}
     layers = {n: layer_parameter(n) for n in names}
-    found = {(layer[0], layer[1].name) for layer in layers.values() if layer is not None and layer[0] != "coating"}
-    return found | {("record", n) for n in names if n in RECORD_PARAMETERS}
+    parameters = {(layer[0], layer[1].name) for layer in layers.values() if layer is not None and layer[0] != "coating"}
+    return parameters | {("record", n) for n in names if n in RECORD_PARAMETERS}
 
 
 def _small_error(h: Hypothesis) -> bool:
     """Whether the error of a hypothesis' model is small enough for it to be named."""
-    return h.last.size is None or h.last.size.mean <= LARGEST_ERROR
+    return h.last.size is None or h.last.size.mean <= POLICY.max_heating_error
 
 
 def _alternatives(best: Hypothesis, inside: Sequence[Hypothesis]) -> tuple[tuple[str, ...], ...]:

@@ -29,29 +29,24 @@ from sim_heating.closure.search.trials.trial_fit import (
     sample_count,
     table_log_prior,
 )
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.record_fit import sensor_definition
-
-MAX_SCATTER = 4.0
-"""Distance from the declared value up to which a parameter scatters, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SearchRound:
     """One pass over all candidates on top of a model.
 
-    base, excess_chi2 : that model, and its reduced chi-square less one
-    trials            : the best trial fit of each effect, best first
-    posterior         : the probability of each with equal prior ones, `none` included
-    screened_out      : effects that were not fitted, with the BIC difference that their best start predicts
-    tried, predicted  : all candidates, and the gain in log likelihood of each that its start predicts
-    forms             : number of forms of each effect that were tried
+    base             : that model
+    trials           : the best trial fit of each effect, best first
+    screened_out     : effects that were not fitted, with the BIC difference that their best start predicts
+    tried, predicted : all candidates, and the gain in log likelihood of each that its start predicts
+    forms            : number of forms of each effect that were tried
     """
 
     base: TrialFit
-    excess_chi2: float
     trials: tuple[TrialFit, ...]
-    posterior: Mapping[str, float]
     screened_out: Mapping[str, float]
     tried: tuple[Candidate, ...] = ()
     predicted: tuple[float, ...] = ()
@@ -59,38 +54,33 @@ class SearchRound:
 
     def __repr__(self) -> str:
         best = ", ".join(f"{t.name} {t.score:+.1f}" for t in self.trials[:3])
-        return f"<SearchRound: excess chi2 {self.excess_chi2:.3g}; {best or 'no candidate fitted'}>"
+        return f"<SearchRound: excess chi2 {self.base.excess_chi2:.3g}; {best or 'no candidate fitted'}>"
 
 
-def score_round(
-    base: TrialFit, trials: Sequence[TrialFit], screened_out: Mapping[str, float], forms: Mapping[str, int]
-) -> SearchRound:
-    """Score the trial fits of a round against each other.
+def scored_trials(base: TrialFit, trials: Sequence[TrialFit], forms: Mapping[str, int]) -> tuple[TrialFit, ...]:
+    """The trial fits of a round with their scores against each other, the best first.
 
-    base         : the model that they are on top of
-    screened_out : predicted BIC difference of effects that were not fitted
-    forms        : number of forms of each effect that were tried, which share its prior probability
+    base  : the model that they are on top of
+    forms : number of forms of each effect that were tried, which share its prior probability
     """
-    excess = base.excess_chi2
     if not trials:
-        return SearchRound(base, excess, (), {"none": 1.0}, screened_out)
+        return ()
     best = min(trials, key=lambda t: t.delta_bic)
     # Chi-square counts the error of every model as noise: differences in likelihood are on the scale of the best one.
-    c = max(1.0, 1.0 + min(excess, best.excess_chi2))
+    c = max(1.0, 1.0 + min(base.excess_chi2, best.excess_chi2))
     held_out, c_held_out = base.held_out_log_likelihood, max(1.0, best.held_out_chi2)
     # BIC; samples held out; the number of forms, so that an effect with ten is not found ten times as easily;
     # magnitudes against their priors: an emittance that falls to a third can imitate transition, but coatings do not do
     # that.
-    scores = {
-        t.name: delta_bic(base, t.fit, t.candidate, c)
+    scores = [
+        delta_bic(base, t.fit, t.candidate, c)
         - 2.0 * (t.held_out_log_likelihood - held_out) / c_held_out
         + 2.0 * float(np.log(forms[t.name]))
         + prior_penalty(t, t.candidate)
         for t in trials
-    }
-    posterior = posteriors({"none": 0.0, **scores})
-    scored = [replace(t, score=scores[t.name], posterior=posterior[t.name]) for t in trials]
-    return SearchRound(base, excess, tuple(sorted(scored, key=lambda t: t.score)), posterior, screened_out)
+    ]
+    scored = [replace(t, score=score) for t, score in zip(trials, scores, strict=True)]
+    return tuple(sorted(scored, key=lambda t: t.score))
 
 
 def model_bic(trial: TrialFit, best: TrialFit) -> float:
@@ -143,12 +133,12 @@ def scatter_price(deviation: float) -> float:
 
         d^2 up to D,    D^2 (1 + 2 log(d / D)) beyond
 
-    D = MAX_SCATTER. A normal distribution as far as things scatter, beyond it a power law of equal slope: what is wrong
-    by more is wrong for a reason of its own, and may be wrong by any amount.
+    D = `Policy.max_scatter_sigmas`. A normal distribution as far as things scatter, beyond it a power law of equal
+    slope: what is wrong by more is wrong for a reason of its own, and may be wrong by any amount.
     """
-    if deviation <= MAX_SCATTER:
+    if deviation <= POLICY.max_scatter_sigmas:
         return deviation**2
-    return float(MAX_SCATTER**2 * (1.0 + 2.0 * np.log(deviation / MAX_SCATTER)))
+    return float(POLICY.max_scatter_sigmas**2 * (1.0 + 2.0 * np.log(deviation / POLICY.max_scatter_sigmas)))
 
 
 def count_forms(tried: Sequence[Candidate]) -> dict[str, int]:

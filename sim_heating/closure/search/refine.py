@@ -8,66 +8,35 @@ parameters are free, from where the leading one is and from the most promising s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sim_heating.base.errors import InputError
-from sim_heating.closure.search.adequacy import ADEQUATE, assess
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.ranking import delta_bic, needed_log_likelihood
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import (
-    QUICK,
+    CONVERGE,
     TrialFit,
+    corrected,
     fitted_values,
     held_out_problem_with,
     own_thinning_error,
     problem_with,
     start_values,
 )
+from sim_heating.closure.verdict.adequacy import assess
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.record import Record
 
-CONTENDERS = 6
-"""Effects of a round that are fitted to convergence, at most."""
-CONTENDER_SHARE, SHARE_OF_ADEQUATE, CONTENDER_MARGIN = 0.5, 0.85, 30.0
-"""Part of the best gain in log likelihood, or distance from it, within which an effect is a contender; the second part
-where the best explains the record to its noise, so that a rival has to come near it."""
-RICHER_FORMS, STARTS_OF_RICHER = 3, 2
-"""Richer forms of an effect that are fitted, and starts of each by predicted gain besides the values of the simpler."""
-CONVERGE = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=60)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Contender:
-    """A candidate fitted to convergence.
-
-    trial      : its best form;  objections : why it may not be named, empty where it may
-    """
-
-    trial: TrialFit
-    objections: tuple[str, ...]
-
-    @property
-    def name(self) -> str:
-        """Name of the effect."""
-        return self.trial.name
-
-    @property
-    def admissible(self) -> bool:
-        """Whether it may be named."""
-        return not self.objections
-
-    def __repr__(self) -> str:
-        return f"<Contender {self.name}: {self.trial.delta_bic:+.1f}, {'; '.join(self.objections) or 'admissible'}>"
-
 
 def refine(
     base: TrialFit, trials: Sequence[TrialFit], tried: Sequence[Candidate], predicted: Sequence[float]
-) -> list[Contender]:
+) -> list[TrialFit]:
     """Fit the leading candidates of a round to convergence, the likeliest first.
 
     base      : the model below;  trials : the best trial of each effect as the round left it
@@ -75,10 +44,12 @@ def refine(
     """
     gains = {t.name: t.fit.log_likelihood - base.fit.log_likelihood for t in trials}
     best = max(gains.values(), default=0.0)
-    share = SHARE_OF_ADEQUATE if any(_is_adequate(t) for t in trials if gains[t.name] == best) else CONTENDER_SHARE
+    share = (
+        POLICY.min_of_adequate if any(_is_adequate(t) for t in trials if gains[t.name] == best) else POLICY.min_of_best
+    )
     led = sorted(
-        (t for t in trials if gains[t.name] >= min(share * best, best - CONTENDER_MARGIN)), key=lambda t: t.delta_bic
-    )[:CONTENDERS]
+        (t for t in trials if gains[t.name] >= min(share * best, best - POLICY.rival_margin)), key=lambda t: t.delta_bic
+    )[: EFFORT.causes]
     forms = [(t, c, start) for t in led for c, start in _forms(base, t, tried, predicted)]
     problems = [problem_with(base, c) for _, c, _ in forms]
     firsts = [start_values(p, start) for p, (_, _, start) in zip(problems, forms, strict=True)]
@@ -94,14 +65,12 @@ def refine(
     continued = maximise_together([problems[k] for k in again], [fits[k].values for k in again], CONVERGE)
     for k, fit in zip(again, continued, strict=True):
         contenders[k] = _contender(base, forms[k][1], problems[k], fit)
-    found: dict[str, list[Contender]] = {}
+    by_name: dict[str, list[TrialFit]] = {}
     for contender in filter(None, contenders):
-        found.setdefault(contender.name, []).append(contender)
-    chosen = [min(several, key=lambda k: (not k.admissible, k.trial.delta_bic)) for several in found.values()]
-    complete = [
-        replace(k, trial=replace(k.trial, held_out=held_out_problem_with(base, k.trial.candidate))) for k in chosen
-    ]
-    return sorted(complete, key=lambda k: k.trial.delta_bic)
+        by_name.setdefault(contender.name, []).append(contender)
+    chosen = [min(forms, key=lambda t: (not t.admissible, t.delta_bic)) for forms in by_name.values()]
+    complete = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in chosen]
+    return sorted(complete, key=lambda t: t.delta_bic)
 
 
 def _unless_behind(base: TrialFit, leading: TrialFit, candidate: Candidate) -> NewtonSettings:
@@ -112,12 +81,12 @@ def _unless_behind(base: TrialFit, leading: TrialFit, candidate: Candidate) -> N
     return replace(CONVERGE, needed_log_likelihood=needed_log_likelihood(base, candidate, leading.delta_bic))
 
 
-def _contender(base: TrialFit, candidate: Candidate, problem: FitProblem, fit: Fit) -> Contender | None:
+def _contender(base: TrialFit, candidate: Candidate, problem: FitProblem, fit: Fit) -> TrialFit | None:
     """A candidate with its fit; None where it cannot be marched, or fell far behind."""
     if fit.status is Status.BEHIND or not np.isfinite(fit.log_likelihood):
         return None
     trial = TrialFit(candidate.name, candidate, problem, None, fit, delta_bic(base, fit, candidate, 1.0))
-    return Contender(trial, objections(trial))
+    return replace(trial, objections=objections(trial))
 
 
 def recorrected(trial: TrialFit, whole: Record) -> TrialFit:
@@ -132,21 +101,17 @@ def recorrected(trial: TrialFit, whole: Record) -> TrialFit:
         error_K, at_s = own_thinning_error(trial, whole)
     except InputError:  # a broken sensor that one of the two leaves out
         return trial
-
-    def corrected(problem: FitProblem) -> FitProblem:
-        return problem.with_correction(error_K[:, np.isin(at_s, problem.record_fits[0].sample_s)])
-
-    own, held_out = corrected(trial.problem), trial.held_out and corrected(trial.held_out)
-    fit = maximise_together([own], [trial.fit.values], CONVERGE)[0]
+    again = corrected(trial, (error_K, at_s))
+    fit = maximise_together([again.problem], [trial.fit.values], CONVERGE)[0]
     if not (np.any(error_K) and np.isfinite(fit.log_likelihood)):
         return trial
     delta = trial.delta_bic - 2.0 * (fit.log_likelihood - trial.fit.log_likelihood)
-    return replace(trial, problem=own, held_out=held_out, fit=fit, delta_bic=delta)
+    return replace(again, fit=fit, delta_bic=delta)
 
 
 def _is_adequate(trial: TrialFit) -> bool:
     """Whether a trial explains the fitted samples to their noise."""
-    return assess(trial.fitted_samples).p_value >= ADEQUATE
+    return assess(trial.fitted_samples).p_value >= POLICY.adequate_p
 
 
 def _forms(
@@ -158,10 +123,10 @@ def _forms(
     own = sorted((k for k, c in enumerate(tried) if c.name == trial.name), key=lambda k: -predicted[k])
     known = [k for k in own if np.isfinite(predicted[k])]
     richest = [tried[k].form for k in known if not any(tried[k].form.is_special_case_of(tried[j].form) for j in own)]
-    for form in list(dict.fromkeys(richest))[:RICHER_FORMS]:
+    for form in list(dict.fromkeys(richest))[: EFFORT.rivals]:
         starts = [tried[k] for k in known if tried[k].form == form]
         if trial.candidate.form.is_special_case_of(form):
             forms.append((starts[0], {**below, **starts[0].start, **at}))
         if form != trial.candidate.form:
-            forms += [(c, {**below, **c.start}) for c in starts[:STARTS_OF_RICHER]]
+            forms += [(c, {**below, **c.start}) for c in starts[: EFFORT.starts]]
     return forms

@@ -27,14 +27,17 @@ from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
 from sim_heating.closure.curves import curve_trials
-from sim_heating.closure.search.changes.flight_changes import contradicted_by_motion, flight_changes, motion_evidence
-from sim_heating.closure.search.changes.lamp_changes import lamp_changes
+from sim_heating.closure.search.changes.flight_changes import (
+    contradicted_by_motion,
+    flight_changes,
+    lamp_changes,
+    motion_evidence,
+)
 from sim_heating.closure.search.changes.property_shapes import shape_changes
 from sim_heating.closure.search.changes.record_change import fit_changes, with_own_corrections
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.changes.wall_changes import wall_changes
 from sim_heating.closure.search.hypothesis import (
-    MIN_BIC_GAIN,
     Conclusion,
     Hypothesis,
     change_hypothesis,
@@ -43,14 +46,15 @@ from sim_heating.closure.search.hypothesis import (
     scored,
     with_one_more,
 )
-from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, score_round
-from sim_heating.closure.search.refine import CONVERGE, Contender, recorrected, refine
+from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, scored_trials
+from sim_heating.closure.search.refine import recorrected, refine
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.free_forms import FREE_FORMS, free_form, has_free_form
 from sim_heating.closure.search.trials.history_starts import history_starts
 from sim_heating.closure.search.trials.screening import fit_in_stages, gains_from, predicted_gains, select_candidates
 from sim_heating.closure.search.trials.trial_fit import (
+    CONVERGE,
     TrialFit,
     base_trial,
     declared_fit,
@@ -62,35 +66,11 @@ from sim_heating.closure.search.trials.trial_fit import (
     start_values,
     with_own_error,
 )
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
-from sim_heating.estimation.inference.newton import Fit
-from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
-
-FIRST_PICKS, SECOND_PICKS = 6, 2
-"""Effects that a second one is sought on top of, and second ones that are kept of each."""
-PAIR_SHARE, MOST_PAIRS, STARTS_OF_PAIR, REFINED_PAIRS = 0.3, 24, 1, 6
-"""Of the most that a further effect promises, on top of any first one: the share that another has to promise to be
-fitted, how many are, how many starts of a form, and how many are fitted to convergence."""
-MIN_SHARE = 0.5
-"""Part of the remaining excess chi-square that a further effect has to explain."""
-MIN_OVER_FIRST = 0.1
-"""Least chi-square that a further effect explains, over that of the first, unless nothing but noise remains after it: a
-first effect of another form leaves less."""
-MAX_EFFECTS, FURTHER_GAIN, EXCHANGES = 3, 6.0, 3
-"""Effects of a model at most; what one more has to gain at least over every model with fewer [BIC]; how often the
-members of the leading model are exchanged for their rivals at most."""
-FREED, RECORRECTED, LIBRARY_SHARE = 6, 4, 0.9
-"""Hypotheses whose effects are tried in a free form, those that get a mesh correction of their own, and the part of the
-excess that they have to explain without: with less, a curve is free to follow anything."""
-JUDGED = 8
-"""Hypotheses that may be named, and others, that are judged with an error of their own."""
-CHANGE_SHARES, SHARES_BESIDE_ADEQUATE, MOST_CHANGES = (0.5, 0.25), (0.8, 0.6), 8
-"""Parts of the best gain in log likelihood that a change of the record has to predict to be fitted: one without ends,
-and one whose ends can be moved, which gains more by that; the second two where an effect explains the record to its
-noise. How many without ends are fitted."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -165,35 +145,35 @@ def search_effects(
     first = search_round(base, [], _part(progress, 0.1, 0.35, "one effect"))
     singles = _refined(base, first, _part(progress, 0.35, 0.45, "one effect"))
     none = hypothesis([base], {})
-    rounds, found = [first], [hypothesis([k.trial], first.forms) for k in singles]
+    rounds, hypotheses = [first], [hypothesis([t], first.forms) for t in singles]
     discrepancies = flight_discrepancies(record.conditions)
-    found += _changes(before, base, singles, discrepancies, _explaining(found), progress)
-    rated = scored(none, found)
+    hypotheses += _changes(before, base, singles, discrepancies, _explaining(hypotheses), progress)
+    rated = scored(none, hypotheses)
     if _more_is_missing(none, rated):
-        found += _fitted_on(base, none, found, record, first.forms)
-        rated = scored(none, found)
+        hypotheses += _fitted_on(base, none, hypotheses, record, first.forms)
+        rated = scored(none, hypotheses)
     if _more_is_missing(none, rated):
-        more, pairs = _with_one_more(_first_picks(found), first.forms, _part(progress, 0.5, 0.8, "two effects"))
+        more, pairs = _with_one_more(_first_picks(hypotheses), first.forms, _part(progress, 0.5, 0.8, "two effects"))
         rounds += more
-        rated = _accepted(none, [*found, *pairs])
+        rated = _accepted(none, [*hypotheses, *pairs])
         if _more_is_missing(none, rated):
             pairs += _fitted_on(base, none, pairs, record, first.forms)
-        found += pairs
-        rated = _accepted(none, found)
+        hypotheses += pairs
+        rated = _accepted(none, hypotheses)
         if _more_is_missing(none, rated) and len(rated[0].names) == 2 and rated[0].change is None:
             more, triples = _with_one_more(
                 [list(rated[0].trials)], first.forms, _part(progress, 0.8, 0.9, "three effects")
             )
             rounds += more
-            found += [*triples, *_recorrected(none, triples, record, first.forms)]
-        found += _pruned(base, _accepted(none, found), first.forms)
-        more, exchanged = _exchanged(base, none, found, first, _part(progress, 0.85, 0.9, "rivals of the causes"))
+            hypotheses += [*triples, *_recorrected(none, triples, record, first.forms)]
+        hypotheses += _pruned(base, _accepted(none, hypotheses), first.forms)
+        more, exchanged = _exchanged(base, none, hypotheses, first, _part(progress, 0.85, 0.9, "rivals of the causes"))
         rounds += more
-        found += exchanged
-        rated = _accepted(none, found)
+        hypotheses += exchanged
+        rated = _accepted(none, hypotheses)
         if _more_is_missing(none, rated):
-            found += _on_the_best_change(none, rated, _part(progress, 0.9, 0.95, "an effect besides a change"))
-            rated = _accepted(none, found)
+            hypotheses += _on_the_best_change(none, rated, _part(progress, 0.9, 0.95, "an effect besides a change"))
+            rated = _accepted(none, hypotheses)
     none, rated = _judged(none, rated)
     conclusion, curve = conclude(none, rated), None
     if conclusion.finding in ("partly", "unknown"):
@@ -209,7 +189,9 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
     """
     if none.last.problem.record_fits[0].model_error is None:
         return none, list(rated)
-    leading = [h for h in rated if h.admissible][:JUDGED] + [h for h in rated if not h.admissible][:JUDGED]
+    leading = [h for h in rated if h.admissible][: EFFORT.compared] + [h for h in rated if not h.admissible][
+        : EFFORT.compared
+    ]
     trials = in_processes([partial(with_own_error, h.last) for h in (none, *leading)])
     none, *judged = (
         replace(h, trials=(*h.trials[:-1], trial)) for h, trial in zip((none, *leading), trials, strict=True)
@@ -225,14 +207,20 @@ def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:
 def _changes(
     before: FitResult,
     base: TrialFit,
-    singles: Sequence[Contender],
+    singles: Sequence[TrialFit],
     discrepancies: Sequence[Discrepancy],
     explained: Collection[str],
     progress: Progress,
+    *,
+    change_shares: tuple[float, float] = (0.5, 0.25),
+    shares_beside_adequate: tuple[float, float] = (0.8, 0.6),
 ) -> list[Hypothesis]:
     """Hypotheses that the record's flight, wall or sensors are other than declared.
 
     explained : names of the effects that explain the record to its noise already: it needs no further forms of these
+    change_shares, shares_beside_adequate : parts of the best gain in log likelihood that a change of the record has to
+        predict to be fitted: one without ends, and one whose ends can be moved, which gains more by that; the second
+        two where an effect explains the record to its noise
     """
     progress(0.45, "changes of the flight, the wall and the sensors")
     record = base.problem.record_fits[0].record
@@ -245,22 +233,23 @@ def _changes(
         if not (c.in_model and c.parameter and is_fitted(base, c.parameter.name))
         and not (c.free and (c.effect in explained or any(is_fitted(base, name) for name in c.free)))
     ]  # fmt: skip
-    best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
-    share, near_share = SHARES_BESIDE_ADEQUATE if explained else CHANGE_SHARES
+    best = max((t.fit.log_likelihood - base.fit.log_likelihood for t in singles), default=0.0)
+    share, near_share = shares_beside_adequate if explained else change_shares
     fits = with_own_corrections(
-        before, base, fit_changes(base, changes, best, share=share, near_share=near_share, most=MOST_CHANGES)
+        before, base, fit_changes(base, changes, best, share=share, near_share=near_share, most=EFFORT.compared)
     )
     whole = before.problem.record_fits[0].record
     tried = Counter(c.family for c in changes)
     return [
-        change_hypothesis(f, tried[f.change.family], motion_evidence(whole, f), contradicted_by_motion(whole, f))
-        for f in fits
+        change_hypothesis(t, tried[t.change.family], motion_evidence(whole, t), contradicted_by_motion(whole, t))
+        for t in fits
+        if t.change is not None
     ]
 
 
-def _explaining(found: Sequence[Hypothesis]) -> set[str]:
+def _explaining(hypotheses: Sequence[Hypothesis]) -> set[str]:
     """Names of the hypotheses that may be named and explain the record to its noise."""
-    return {name for h in found if h.admissible and h.adequate for name in h.names}
+    return {name for h in hypotheses if h.admissible and h.adequate for name in h.names}
 
 
 def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
@@ -268,8 +257,8 @@ def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
     record = base.problem.record_fits[0].record
     flown = conditions_of_record(record)
     fitted = [n.split(".")[1] for n in base.problem.record_fits[0].march_names if n.startswith(EFFECT_PREFIX)]
-    found = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*taken, *fitted])
-    return [c for c in found if not any(is_fitted(base, name) for name in c.model_names)]
+    tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*taken, *fitted])
+    return [c for c in tried if not any(is_fitted(base, name) for name in c.model_names)]
 
 
 def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
@@ -277,24 +266,32 @@ def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
 
     A curve may take up all of a second effect: it does not end the search.
     """
-    if not rated or min(h.last.delta_bic for h in rated) > -MIN_BIC_GAIN:
+    if not rated or min(h.last.delta_bic for h in rated) > -POLICY.min_gain:
         return False
     best = rated[0]
     return not (best.admissible and best.adequate) or has_free_form(best.last)
 
 
-def _refined(base: TrialFit, found: SearchRound, progress: Progress) -> list[Contender]:
+def _refined(base: TrialFit, of_round: SearchRound, progress: Progress) -> list[TrialFit]:
     """The leading candidates of a round, fitted to convergence."""
-    progress(0.0, f"fitting the leading of {len(found.trials)} candidates to convergence")
-    return refine(base, found.trials, found.tried, found.predicted)
+    progress(0.0, f"fitting the leading of {len(of_round.trials)} candidates to convergence")
+    return refine(base, of_round.trials, of_round.tried, of_round.predicted)
 
 
 def _with_one_more(
-    stacks: Sequence[Sequence[TrialFit]], forms: Mapping[str, int], progress: Progress
+    stacks: Sequence[Sequence[TrialFit]],
+    forms: Mapping[str, int],
+    progress: Progress,
+    *,
+    pair_share: float = 0.3,
+    most_pairs: int = 24,
+    starts_of_pair: int = 1,
 ) -> tuple[list[SearchRound], list[Hypothesis]]:
     """A round on top of each of several stacks of effects, all side by side, and hypotheses with one effect more.
 
     stacks : effects, each fitted on top of those before
+    pair_share, most_pairs, starts_of_pair : of the most that a further effect promises, on top of any first one: the
+        share that another has to promise to be fitted, how many are, and how many starts of a form
     """
     progress(0.0, "screening candidates")
     bases = [stack[-1] for stack in stacks]
@@ -305,35 +302,30 @@ def _with_one_more(
         for i, (_, gains) in enumerate(screened)
         for k, gain in enumerate(gains)
     ]
-    least = PAIR_SHARE * max((r for r, _, _ in reached), default=0.0)
+    least = pair_share * max((r for r, _, _ in reached), default=0.0)
     chosen: list[tuple[float, int, int]] = []
     for total, i, k in sorted(reached, reverse=True):
-        if total < least or len(chosen) == MOST_PAIRS:
+        if total < least or len(chosen) == most_pairs:
             break
         form = screened[i][0][k].form
-        if sum(j == i and screened[j][0][m].form == form for _, j, m in chosen) < STARTS_OF_PAIR:
+        if sum(j == i and screened[j][0][m].form == form for _, j, m in chosen) < starts_of_pair:
             chosen.append((total, i, k))
     progress(0.3, f"fitting {len(chosen)} of {len(reached)} candidates")
     tried = [screened[i][0][k] for _, i, k in chosen]
-    problems = [problem_with(bases[i], c) for c, (_, i, _) in zip(tried, chosen, strict=True)]
-    firsts = [
-        start_values(p, {**fitted_values(bases[i]), **c.start})
-        for p, c, (_, i, _) in zip(problems, tried, chosen, strict=True)
-    ]
-    fits = fit_in_stages(problems, firsts, best, [total for total, _, _ in chosen])
+    fits = fit_in_stages([bases[i] for _, i, _ in chosen], tried, [total for total, _, _ in chosen], best)
     rounds, hypotheses = [], []
     for i, (candidates_of, gains) in enumerate(screened):
-        own = [(c, p, f) for c, p, f, (_, j, _) in zip(tried, problems, fits, chosen, strict=True) if j == i]
-        rounds.append(_round_of(bases[i], own, candidates_of, gains))
+        on_base = [t for t, (_, j, _) in zip(fits, chosen, strict=True) if j == i]
+        rounds.append(_round_of(bases[i], on_base, candidates_of, gains))
     progress(0.7, "fitting the leading ones to convergence")
     leading = sorted(
         ((t.fit.log_likelihood, i, t) for i, r in enumerate(rounds) for t in r.trials), key=lambda x: -x[0]
     )
-    for i, found in enumerate(rounds):
-        trials = [t for _, j, t in leading[:REFINED_PAIRS] if j == i]
-        refined = refine(bases[i], trials, found.tried, found.predicted) if trials else []
-        ordered = sorted(refined, key=lambda k: (not k.admissible, k.trial.delta_bic))[:SECOND_PICKS]
-        hypotheses += [hypothesis([*stacks[i], k.trial], {**forms, **found.forms}) for k in ordered]
+    for i, of_round in enumerate(rounds):
+        trials = [t for _, j, t in leading[: EFFORT.causes] if j == i]
+        refined = refine(bases[i], trials, of_round.tried, of_round.predicted) if trials else []
+        ordered = sorted(refined, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
+        hypotheses += [hypothesis([*stacks[i], t], {**forms, **of_round.forms}) for t in ordered]
     return rounds, hypotheses
 
 
@@ -343,37 +335,38 @@ def _screened(stack: Sequence[TrialFit]) -> tuple[list[Candidate], list[float]]:
     return tried, predicted_gains(stack[-1], tried)
 
 
-def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _accepted(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses best first, without those whose further effects explain too little.
 
-    A further effect gains FURTHER_GAIN over every model with fewer effects that may be named. It explains a good part
-    of what these leave, or takes the place of parameters of theirs, and predicts what is held out no worse.
+    A further effect gains `Policy.min_gain_of_further` over every model with fewer effects that may be named. It
+    explains a good part of what these leave, or takes the place of parameters of theirs, and predicts what is held out
+    no worse.
     """
-    found = scored(none, found)
-    singles = [h for h in found if len(h.names) == 1]
+    hypotheses = scored(none, hypotheses)
+    singles = [h for h in hypotheses if len(h.names) == 1]
     kept = list(singles)
-    for count in range(2, MAX_EFFECTS + 1):
+    for count in range(2, POLICY.max_causes + 1):
         # What fewer effects explain, whether they may be named or not: an inadmissible one still shows how little more
         # a further effect adds.
         simpler = min((h for h in kept), key=lambda h: h.excess_chi2, default=none)
         least_explained = none.excess_chi2 - min((h.excess_chi2 for h in singles), default=none.excess_chi2)
-        to_beat = min((h.score for h in kept), default=0.0) - FURTHER_GAIN
-        of_nameable = min((h.score for h in kept if h.admissible), default=0.0) - FURTHER_GAIN
-        for h in [h for h in found if len(h.names) == count]:
+        to_beat = min((h.score for h in kept), default=0.0) - POLICY.min_gain_of_further
+        of_nameable = min((h.score for h in kept if h.admissible), default=0.0) - POLICY.min_gain_of_further
+        for h in [h for h in hypotheses if len(h.names) == count]:
             gained = simpler.excess_chi2 - h.excess_chi2
             predicts = h.last.held_out_log_likelihood >= simpler.last.held_out_log_likelihood
-            explains = gained >= MIN_SHARE * simpler.excess_chi2
-            explains &= gained >= MIN_OVER_FIRST * least_explained or h.adequate
+            explains = gained >= POLICY.min_explained * simpler.excess_chi2
+            explains &= gained >= POLICY.min_explained_over_first * least_explained or h.adequate
             in_place = h.adequate and h.score <= to_beat
             if (explains or in_place) and predicts and h.score <= of_nameable:
                 kept.append(h)
     return scored(none, _distinct(kept))
 
 
-def _distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _distinct(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The likeliest of those that have the same effects with the same free parameters."""
     best: dict[tuple[frozenset[str], frozenset[str]], Hypothesis] = {}
-    for h in sorted(found, key=lambda h: (not h.admissible, -h.last.fit.log_likelihood)):
+    for h in sorted(hypotheses, key=lambda h: (not h.admissible, -h.last.fit.log_likelihood)):
         best.setdefault((frozenset(h.names), frozenset(n for t in h.trials for n in t.candidate.names)), h)
     return list(best.values())
 
@@ -391,7 +384,7 @@ def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int
 
 
 def _exchanged(
-    base: TrialFit, none: Hypothesis, found: Sequence[Hypothesis], first: SearchRound, progress: Progress
+    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], first: SearchRound, progress: Progress
 ) -> tuple[list[SearchRound], list[Hypothesis]]:
     """The rounds and hypotheses in which other effects stand in place of members of the leading hypothesis.
 
@@ -403,20 +396,20 @@ def _exchanged(
     """
     rounds: list[SearchRound] = []
     more: list[Hypothesis] = []
-    rated = _accepted(none, found)
-    for _ in range(EXCHANGES):
+    rated = _accepted(none, hypotheses)
+    for _ in range(EFFORT.rivals):
         if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
             break
         best, values = rated[0], fitted_values(rated[0].last)
         reduced = [[t for t in best.trials if t is not left_out] for left_out in best.trials]
-        if len(best.trials) < MAX_EFFECTS:
+        if len(best.trials) < POLICY.max_causes:
             reduced.append([_in_simplest_form(t, first.tried) for t in best.trials])
         stacks = [_stack_effects(base, effects_of, values) for effects_of in reduced]
         stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
         seen, tried = _with_one_more(stacks, first.forms, progress)
         rounds += seen
         more += tried
-        rated = _accepted(none, [*found, *more])
+        rated = _accepted(none, [*hypotheses, *more])
         if set(rated[0].names) == set(best.names):
             break
     return rounds, more
@@ -428,52 +421,53 @@ def _in_simplest_form(trial: TrialFit, tried: Sequence[Candidate]) -> TrialFit:
     return replace(trial, candidate=min([trial.candidate, *forms], key=lambda c: len(c.names)))
 
 
-def _first_picks(found: Sequence[Hypothesis]) -> list[list[TrialFit]]:
+def _first_picks(hypotheses: Sequence[Hypothesis]) -> list[list[TrialFit]]:
     """The single effects that a further one is sought on top of, the likeliest of each form."""
     best: dict[tuple[str, ...], TrialFit] = {}
-    for trial in sorted((h.last for h in found if h.change is None), key=lambda t: -t.fit.log_likelihood):
+    for trial in sorted((h.last for h in hypotheses if h.change is None), key=lambda t: -t.fit.log_likelihood):
         best.setdefault(trial.candidate.names, trial)
-    return [[trial] for trial in list(best.values())[:FIRST_PICKS]]
+    return [[trial] for trial in list(best.values())[: EFFORT.causes]]
 
 
 def _fitted_on(
-    base: TrialFit, none: Hypothesis, found: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
+    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
 ) -> list[Hypothesis]:
     """Hypotheses that explain most of the excess, fitted on: with their own mesh correction, and, where none of these
     explains the record, with an effect in a free form."""
-    more = _recorrected(none, found, whole, forms)
+    more = _recorrected(none, hypotheses, whole, forms)
     if not _explaining(more):
-        free = _free_forms(base, none, [*found, *more], forms)
+        free = _free_forms(base, none, [*hypotheses, *more], forms)
         more += [*free, *_recorrected(none, free, whole, forms)]
     return more
 
 
-def _explaining_most(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _explaining_most(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses of effects that explain most of the excess of the declared model, the best first."""
-    most = (1.0 - LIBRARY_SHARE) * none.excess_chi2
-    explaining = [h for h in found if h.change is None and h.excess_chi2 < most]
+    most = (1.0 - POLICY.min_explained_by_library) * none.excess_chi2
+    explaining = [h for h in hypotheses if h.change is None and h.excess_chi2 < most]
     return sorted(explaining, key=lambda h: h.excess_chi2)
 
 
 def _recorrected(
-    none: Hypothesis, found: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
+    none: Hypothesis, hypotheses: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int], *, most: int = 4
 ) -> list[Hypothesis]:
-    """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess."""
+    """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess.
+
+    most : hypotheses that get a mesh correction of their own
+    """
     leading: dict[frozenset[str], Hypothesis] = {}
-    for h in _explaining_most(none, found):
+    for h in _explaining_most(none, hypotheses):
         if not h.adequate:
             leading.setdefault(frozenset(h.names), h)
-    return [
-        hypothesis([*h.trials[:-1], recorrected(h.last, whole)], forms) for h in list(leading.values())[:RECORRECTED]
-    ]
+    return [hypothesis([*h.trials[:-1], recorrected(h.last, whole)], forms) for h in list(leading.values())[:most]]
 
 
 def _free_forms(
-    base: TrialFit, none: Hypothesis, found: Sequence[Hypothesis], forms: Mapping[str, int]
+    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], forms: Mapping[str, int]
 ) -> list[Hypothesis]:
     """Hypotheses with one effect in a free form (free_forms.py), for those that explain most of the excess."""
     wanted: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
-    for h in _explaining_most(none, found)[:FREED]:
+    for h in _explaining_most(none, hypotheses)[: EFFORT.causes]:
         for freed in h.trials:
             others = [t for t in h.trials if t is not freed]
             key = (freed.name, *sorted(t.name for t in others))
@@ -505,12 +499,12 @@ def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress:
     that do not explain the record either are left out: with a free effect more, any change comes near many residuals.
     """
     best = next((h for h in rated if h.change is not None and h.admissible and len(h.names) == 1), None)
-    if best is None or none.excess_chi2 - best.excess_chi2 < MIN_SHARE * none.excess_chi2:
+    if best is None or none.excess_chi2 - best.excess_chi2 < POLICY.min_explained * none.excess_chi2:
         return []
     more = search_round(best.last, best.effects, progress)
-    refined = sorted(_refined(best.last, more, progress), key=lambda k: (not k.admissible, k.trial.delta_bic))
-    found = [with_one_more(best, k.trial, more.forms) for k in refined[:SECOND_PICKS]]
-    return [h for h in found if h.adequate]
+    refined = sorted(_refined(best.last, more, progress), key=lambda t: (not t.admissible, t.delta_bic))
+    hypotheses = [with_one_more(best, t, more.forms) for t in refined[: EFFORT.starts]]
+    return [h for h in hypotheses if h.adequate]
 
 
 def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[str, float]) -> list[TrialFit]:
@@ -537,36 +531,31 @@ def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> Se
     gains += gains_from(base, by_history)
     tried += by_history
     selected = sorted(select_candidates(tried, gains, sample_count(base.problem)))
-    problems, start = [problem_with(base, tried[i]) for i in selected], fitted_values(base)
-    firsts = [start_values(p, {**start, **tried[i].start}) for p, i in zip(problems, selected, strict=True)]
     progress(0.3, f"fitting {len(selected)} of {len(tried)} candidates")
-    fits = fit_in_stages(
-        problems, firsts, base.fit.log_likelihood, [gains[i] for i in selected], [tried[i].name for i in selected]
+    chosen = [tried[i] for i in selected]
+    fitted = fit_in_stages(
+        [base] * len(chosen), chosen, [gains[i] for i in selected], base.fit.log_likelihood, by_effect=True
     )
-    fitted = [(tried[i], problem, fit) for i, problem, fit in zip(selected, problems, fits, strict=True)]
     return _round_of(base, fitted, tried, gains)
 
 
 def _round_of(
-    base: TrialFit,
-    fitted: Sequence[tuple[Candidate, FitProblem, Fit]],
-    tried: Sequence[Candidate],
-    gains: Sequence[float],
+    base: TrialFit, fitted: Sequence[TrialFit], tried: Sequence[Candidate], gains: Sequence[float]
 ) -> SearchRound:
     """A round with the best trial of each effect.
 
-    fitted : candidates that were fitted on top of the base;  tried, gains : all of them, with their predicted gains
+    fitted : trials on top of the base;  tried, gains : all candidates, with their predicted gains
     """
     best: dict[str, TrialFit] = {}
-    for candidate, problem, fit in fitted:
-        name, delta = candidate.name, delta_bic(base, fit, candidate, 1.0)
-        if np.isfinite(fit.log_likelihood) and (name not in best or delta < best[name].delta_bic):
-            best[name] = TrialFit(name, candidate, problem, None, fit, delta)
+    for t in fitted:
+        delta = delta_bic(base, t.fit, t.candidate, 1.0)
+        if np.isfinite(t.fit.log_likelihood) and (t.name not in best or delta < best[t.name].delta_bic):
+            best[t.name] = replace(t, delta_bic=delta)
     trials = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in best.values()]
     screened_out: dict[str, float] = {}
     for candidate, gain in zip(tried, gains, strict=True):
         if candidate.name not in best:
             predicted = -2.0 * gain + len(candidate.names) * float(np.log(sample_count(base.problem)))
             screened_out[candidate.name] = min(predicted, screened_out.get(candidate.name, np.inf))
-    scored_round = score_round(base, trials, screened_out, count_forms(tried))
-    return replace(scored_round, tried=tuple(tried), predicted=tuple(gains), forms=count_forms(tried))
+    forms = count_forms(tried)
+    return SearchRound(base, scored_trials(base, trials, forms), screened_out, tuple(tried), tuple(gains), forms)

@@ -13,15 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.closure.search.adequacy import Adequacy, assess
 from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.closure.verdict.adequacy import Adequacy, assess
 from sim_heating.estimation.inference.error_likelihood import innovations_of_several
 from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.model_error import ModelError
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
 
-RECORDS, SEED = 199, 20261128
-"""Records that are made, and the seed of their draws."""
+RECORDS = 199
+"""Records that are made."""
 
 
 def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy, records: int = RECORDS) -> Adequacy:
@@ -32,7 +32,7 @@ def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy, records: int = R
     part, size = trial.problem.record_fits[0], trial.size
     if part.model_error is None or size is None:
         return adequacy
-    rng, probability = np.random.default_rng(SEED), size.posterior
+    rng, probability = np.random.default_rng(20261128), size.posterior
     drawn = rng.choice(probability.size, size=records, p=probability.ravel())
     places = zip(*np.unravel_index(drawn, probability.shape), strict=True)
     errors = [part.model_error.of_size(float(size.sizes[k]), float(size.times_s[i])) for i, k in places]

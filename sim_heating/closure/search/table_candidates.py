@@ -15,20 +15,20 @@ from sim_heating.estimation.inference.observability import constant_variables, d
 
 TABLE = "table"
 """Name of these candidates, which no effect has."""
-LEAST_SIGMA = 1.0
-"""Sigmas of the table by which an estimate has to be off for its prior to matter."""
 
 
-def table_candidates(base: TrialFit) -> list[Candidate]:
+def table_candidates(base: TrialFit, *, least_sigma: float = 1.0) -> list[Candidate]:
     """The candidates that free one magnitude or derivative each; none where the record has no table.
 
     Those against a variable that is constant over the fitted samples are left out.
+
+    least_sigma : sigmas of the table by which an estimate has to be off for its prior to matter
     """
     record, values = base.problem.record_fits[0].record, fitted_values(base)
     known = {p.name: p for p in base.problem.parameters}
     excluded = [n for n in undeclared_derivatives(record, default_names([record])) if n not in known]
     constant = constant_variables(excluded, [record])
-    off = [n for n, p in known.items() if is_of_table(p) and abs(values[n]) > LEAST_SIGMA * p.sigma]
+    off = [n for n, p in known.items() if is_of_table(p) and abs(values[n]) > least_sigma * p.sigma]
     return [
         Candidate(TABLE, (), (n,), {n: values.get(n, 0.0)}, active=(n,), with_prior=(), priors={n: MODEL[n]})
         for n in (*(n for n in excluded if n not in constant), *off)

@@ -27,6 +27,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.closure.search.changes.record_change import CANNOT_BE
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.trials.trial_fit import THINNED_STEPS, TrialFit, fitted_effects
+from sim_heating.closure.verdict.policy import EFFORT
 from sim_heating.estimation.design.instruments import extra_sensors
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitOptions, FitProblem
@@ -36,25 +37,12 @@ from sim_heating.inputs.record import Record
 REPEATED = "the same flight again"
 REPEATED_TEST = "the same test again"
 """The same of a record without flow, as under a lamp."""
-PERIOD_S = {"alpha_deg": 30.0, "beta_deg": 20.0, "elevon_deg": 20.0, "bodyflap_deg": 20.0}
-"""Duration of a manoeuvre in each variable [s]: that of the founding paper's."""
-AMPLITUDE_DEG = {"alpha_deg": 5.0, "beta_deg": 2.0, "elevon_deg": 5.0, "bodyflap_deg": 5.0}
-IN_WORDS = {
-    "alpha_deg": "a push-over pull-up of 5 deg", "beta_deg": "a sideslip doublet of 2 deg",
-    "elevon_deg": "an elevon pulse of 5 deg", "bodyflap_deg": "a body-flap pulse of 5 deg",
+MANOEUVRES = {
+    "alpha_deg": (30.0, 5.0, "a push-over pull-up"), "beta_deg": (20.0, 2.0, "a sideslip doublet"),
+    "elevon_deg": (20.0, 5.0, "an elevon pulse"), "bodyflap_deg": (20.0, 5.0, "a body-flap pulse"),
 }  # fmt: skip
-PLACES = (0.2, 0.5, 0.8)
-"""Where a manoeuvre begins, as parts of the time that is read."""
-STEP = 0.1
-"""Step in a change without exact derivative, over the usual standard deviation of its parameter."""
-MOST_ODDS = 1000.0
-"""Odds above which a number says no more."""
-FINER_BITS, MORE_OFTEN = 12, 5
-"""Bits of finer recorder words, and readings in place of one."""
-WORTH_IT = math.log(2.0)
-"""Log odds by which an experiment has to exceed those of the same flight again."""
-MOST_RIVALS, MOST_NAMED = 3, 2
-"""Rivals of the likeliest cause that are compared with it, and experiments that are named."""
+"""By variable, duration of a manoeuvre [s], which is the founding paper's, its amplitude [deg], and its name."""
+LONGEST_S = max(period_s for period_s, _, _ in MANOEUVRES.values())
 
 
 @dataclass(frozen=True)
@@ -74,8 +62,8 @@ class Experiment:
 
     def in_words(self) -> str:
         """What it is, and its odds."""
-        if self.log_odds > math.log(MOST_ODDS):
-            return f"{self.what}: odds above {MOST_ODDS:g} to 1"
+        if self.log_odds > math.log(1000.0):
+            return f"{self.what}: odds above 1000 to 1"
         odds = math.exp(self.log_odds)
         return f"{self.what}: odds of {odds:.{1 if odds < 10.0 else 0}f} to 1"
 
@@ -103,7 +91,12 @@ class _Predicted:
 
 
 def tell_apart(
-    none: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis], most: int = MOST_NAMED
+    none: Hypothesis,
+    best: Hypothesis,
+    rivals: Sequence[Hypothesis],
+    most: int = 2,
+    *,
+    least_log_odds: float = math.log(2.0),
 ) -> list[Experiment]:
     """The experiments that are expected to tell the likeliest cause from its rivals best, with their odds.
 
@@ -112,8 +105,10 @@ def tell_apart(
     most    : how many are returned
     returns : the best first, those that do little more than the same flight again left out; none
               where a cause is a change of the readings
+
+    least_log_odds : log odds by which an experiment has to exceed those of the same flight again
     """
-    models = [best, *rivals[:MOST_RIVALS]]
+    models = [best, *rivals[: EFFORT.rivals]]
     part = none.last.problem.record_fits[0]
     if len(models) < 2 or any(_changes_readings(h, part.record) for h in models):
         return []
@@ -135,15 +130,15 @@ def tell_apart(
             kinds[flight.kind] = found
     again = kinds.pop(REPEATED, Experiment(REPEATED, 0.0))
     # What hardly does more than the same flight again is not worth its cost.
-    better = [e for e in kinds.values() if e.log_odds > again.log_odds + WORTH_IT]
+    better = [e for e in kinds.values() if e.log_odds > again.log_odds + least_log_odds]
     return [*sorted(better, key=lambda e: -e.log_odds), again][:most]
 
 
 def _changes_readings(hypothesis: Hypothesis, record: Record) -> bool:
     """Whether a cause is a change of the readings themselves, which no model predicts."""
-    if hypothesis.change is None or hypothesis.change.change.in_model:
+    if hypothesis.changed is None or hypothesis.change is None or hypothesis.change.in_model:
         return False
-    changed = hypothesis.change.change.apply(record, hypothesis.change.value)
+    changed = hypothesis.change.apply(record, hypothesis.changed.value)
     return any(
         not np.array_equal(column, changed.thermocouples[name], equal_nan=True)
         for name, column in record.thermocouples.items()
@@ -169,16 +164,19 @@ def _flights(record: Record, *, recorders: bool) -> Iterator[_Flight]:
     yield from _manoeuvres(record)
 
 
-def _recorders(record: Record) -> Iterator[_Flight]:
-    """The readings in finer words, and more often."""
+def _recorders(record: Record, *, finer_bits: int = 12, more_often: int = 5) -> Iterator[_Flight]:
+    """The readings in finer words, and more often.
+
+    finer_bits, more_often : bits of finer recorder words, and readings in place of one
+    """
     finer = [
-        s.model_copy(update={"bits": FINER_BITS}) if s.bits is not None and s.bits < FINER_BITS else s
+        s.model_copy(update={"bits": finer_bits}) if s.bits is not None and s.bits < finer_bits else s
         for s in record.sensors
     ]
     if finer != list(record.sensors):
-        yield _Flight(f"recorder words of {FINER_BITS} bits", "words", record.with_sensors(finer))
+        yield _Flight(f"recorder words of {finer_bits} bits", "words", record.with_sensors(finer))
     t = record.time_s
-    between = (t[:-1, np.newaxis] + np.diff(t)[:, np.newaxis] * np.arange(MORE_OFTEN) / MORE_OFTEN).ravel()
+    between = (t[:-1, np.newaxis] + np.diff(t)[:, np.newaxis] * np.arange(more_often) / more_often).ravel()
     often = np.append(between, t[-1])
     columns = {n: np.interp(often, t, column) for n, column in record.thermocouples.items() if n != "time_s"}
     interval = float(np.median(np.diff(often)))
@@ -186,22 +184,25 @@ def _recorders(record: Record) -> Iterator[_Flight]:
     yield _Flight(f"readings every {interval:.2g} s", "rate", changed)
 
 
-def _manoeuvres(record: Record) -> Iterator[_Flight]:
-    """One manoeuvre more at each of some times; none where nothing flows, or in what the flight does not state."""
+def _manoeuvres(record: Record, *, begins: tuple[float, float, float] = (0.2, 0.5, 0.8)) -> Iterator[_Flight]:
+    """One manoeuvre more at each of some times; none where nothing flows, or in what the flight does not state.
+
+    begins : where a manoeuvre begins, as parts of the time that is read
+    """
     flown, read = record.conditions, record.time_s[record.fit_mask() | record.holdout_mask()]
     begin, end = max(float(read[0]), flown.time_s[0]), min(float(read[-1]), flown.time_s[-1])
-    if not record.has_flow or end - begin < 3.0 * max(PERIOD_S.values()):
+    if not record.has_flow or end - begin < 3.0 * LONGEST_S:
         return
-    starts = [begin + place * (end - begin) for place in PLACES]
+    starts = [begin + place * (end - begin) for place in begins]
     # One grid for all, so that all are marched side by side.
-    fine = [t + s for t in starts for s in np.arange(0.0, max(PERIOD_S.values()) + 1.0)]
+    fine = [t + s for t in starts for s in np.arange(0.0, LONGEST_S + 1.0)]
     flown = flown.at(np.union1d(flown.time_s, np.clip(fine, flown.time_s[0], flown.time_s[-1])))
-    for variable, period in PERIOD_S.items():
+    for variable, (period, amplitude_deg, name) in MANOEUVRES.items():
         for t in starts:
-            excursion = AMPLITUDE_DEG[variable] * _wave(variable, (flown.time_s - t) / period)
+            excursion = amplitude_deg * _wave(variable, (flown.time_s - t) / period)
             columns = {variable: _within_table(record, variable, flown[variable] + excursion)}
             changed = replace(record, conditions=flown.with_columns(**columns))
-            yield _Flight(f"{IN_WORDS[variable]} at {t:.0f} s", variable, changed)
+            yield _Flight(f"{name} of {amplitude_deg:g} deg at {t:.0f} s", variable, changed)
 
 
 def _wave(variable: str, phase: FloatArray) -> FloatArray:
@@ -241,7 +242,7 @@ def _predict(base: TrialFit, models: Sequence[Hypothesis], flights: Sequence[_Fl
 def _marches(base: TrialFit, model: Hypothesis, record: Record) -> list[tuple[FitProblem, FloatArray]]:
     """Problems, each with its vector: a model over a record, and one step away in a change that has no exact
     derivative. None where the change does not exist there."""
-    value = 0.0 if model.change is None else model.change.value
+    value = 0.0 if model.changed is None else model.changed.value
     values = [value, value + _step(model)] if _step(model) else [value]
     try:
         return [(_problem(base, model.last, _changed(model, record, at)), model.last.fit.values) for at in values]
@@ -249,20 +250,22 @@ def _marches(base: TrialFit, model: Hypothesis, record: Record) -> list[tuple[Fi
         return []
 
 
-def _step(model: Hypothesis) -> float:
+def _step(model: Hypothesis, *, step: float = 0.1) -> float:
     """Step in a change whose value is an unknown without exact derivative; 0 for any other model.
 
     The value of a change that an effect was added to stays as it was found.
+
+    step : step in a change without exact derivative, over the usual standard deviation of its parameter
     """
-    change = None if model.change is None or model.added else model.change.change
-    return 0.0 if change is None or change.in_model or change.parameter is None else STEP * change.parameter.sigma
+    change = None if model.added else model.change
+    return 0.0 if change is None or change.in_model or change.parameter is None else step * change.parameter.sigma
 
 
 def _changed(model: Hypothesis, record: Record, value: float) -> Record:
     """A record with the change of a hypothesis, where it has one that is no parameter of the model."""
-    if model.change is None or model.change.change.in_model:
+    if model.change is None or model.change.in_model:
         return record
-    return model.change.change.apply(record, value)
+    return model.change.apply(record, value)
 
 
 def _problem(base: TrialFit, trial: TrialFit, record: Record) -> FitProblem:
@@ -312,4 +315,5 @@ def _expected(truth: _Predicted, fitted: _Predicted, model: Hypothesis, scale: f
 
 def _fit_of(model: Hypothesis) -> Fit:
     """The fit of a hypothesis with all of its unknowns, that of a change last where it is none of the model."""
-    return model.change.fit if model.change is not None and _step(model) else model.last.fit
+    fit = None if model.changed is None else model.changed.whole_fit
+    return fit if fit is not None and _step(model) else model.last.fit

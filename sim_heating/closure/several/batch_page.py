@@ -11,14 +11,13 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.report.chart import Chart, Curve, Panel, Span, decimated
 from sim_heating.base.report.page import Page, Section, write_page
-from sim_heating.closure.report import PAGE, Closure, closures_table
+from sim_heating.closure.report import closures_table
+from sim_heating.closure.result import PAGE, Closure
 from sim_heating.estimation.report.plots import AFTER, BEFORE
 from sim_heating.simulation.report.charts import SHADES, record_spans, residual_limits, shown_span
 
 INTERVALS = 200
 """Intervals of time of the residuals that are kept of each record."""
-MOST_CHARTS = 12
-"""Records whose residuals are drawn: those farthest above their noise floor."""
 
 
 def residual_history(found: Closure) -> dict[str, Any]:
@@ -54,15 +53,20 @@ def write_batch_page(
     write_page(path, lambda: batch_page(rows, residuals))
 
 
-def batch_page(rows: Sequence[Mapping[str, Any]], residuals: Sequence[Mapping[str, Any] | None]) -> Page:
-    """All records in a table, why some failed, and the residuals of those farthest above their noise floor."""
+def batch_page(
+    rows: Sequence[Mapping[str, Any]], residuals: Sequence[Mapping[str, Any] | None], *, most_charts: int = 12
+) -> Page:
+    """All records in a table, why some failed, and the residuals of those farthest above their noise floor.
+
+    most_charts : records whose residuals are drawn: those farthest above their noise floor
+    """
     pages = [None if "failed" in row else f"{row['record']}/{PAGE}" for row in rows]
     failed = [f"{row['record']}: {row['failed']}" for row in rows if "failed" in row]
     faults = [line for row in rows for line in row.get("fault_messages", ())]
     text = "The name of a record leads to its own page. Click the head of a column to sort by it."
     sections = [Section("Records", [text], points=faults, tables=[closures_table(rows, pages)])]
     done = [i for i, kept in enumerate(residuals) if kept is not None and kept["curves"]]
-    worst = sorted(done, key=lambda i: -_above_noise(rows[i]))[:MOST_CHARTS]
+    worst = sorted(done, key=lambda i: -_above_noise(rows[i]))[:most_charts]
     if worst:
         charts = [_chart(str(rows[i]["record"]), rows[i], residuals[i] or {}) for i in sorted(worst)]
         which = (

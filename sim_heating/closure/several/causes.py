@@ -7,21 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from sim_heating.base.parameters import SENSOR_PREFIX
-from sim_heating.closure.search.changes.record_change import NO_EFFECT
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.ranking import scatter_price
-from sim_heating.closure.search.refine import CONTENDER_MARGIN, CONTENDER_SHARE
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.table_candidates import TABLE
-from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
-from sim_heating.closure.several.common_parameters import RECORD
-from sim_heating.closure.several.joint_fit import Cause
+from sim_heating.closure.several.joint_fit import RECORD, Cause
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.points import conditions_of_record
-
-MOST_CAUSES, FORMS = 8, 2
-"""Causes that are fitted jointly, and forms of each."""
 
 
 def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
@@ -44,7 +39,7 @@ def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
             changed = {**cause.changed, **first.changed}
             found = {i: values} | dict(first.found)
             causes[key] = replace(first, price=max(first.price, cause.price), found=found, changed=changed)
-    forms = {names: [c for c in causes.values() if frozenset(c.names) == names][:FORMS] for names in known}
+    forms = {names: [c for c in causes.values() if frozenset(c.names) == names][: EFFORT.starts] for names in known}
     log_n = math.log(sample_count(alone[0].none.last.problem))
 
     def reached(i: int, names: frozenset[str]) -> float:
@@ -57,8 +52,8 @@ def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
 
     order = sorted(known, key=bound)
     best = bound(order[0]) if order else 0.0
-    worst = max(CONTENDER_SHARE * best, best + CONTENDER_MARGIN)
-    return [c for names in order[:MOST_CAUSES] if bound(names) <= worst for c in forms[names]]
+    worst = max(POLICY.min_of_best * best, best + POLICY.rival_margin)
+    return [c for names in order[: EFFORT.compared] if bound(names) <= worst for c in forms[names]]
 
 
 def _cause_of_trial(trial: TrialFit, forms: Mapping[str, int]) -> tuple[Cause, float, dict[str, float]]:
@@ -72,15 +67,15 @@ def _cause_of(i: int, h: Hypothesis, one_point: bool) -> tuple[Cause, float, dic
     """A hypothesis on record i as a cause that others may share, its score, and its values; None for causes of one
     flight or one thermocouple, and for those of a wall that the others do not have."""
     values = fitted_values(h.last)
-    if h.change is None:
+    if h.change is None or h.changed is None:
         return Cause(h.names, h.kind, tuple(t.candidate for t in h.trials), h.price), h.score, values
-    change, price = h.change.change, h.price - scatter_price(h.change.deviation)
+    change, price = h.change, h.price - scatter_price(h.changed.deviation)
     if change.kind != "wall" or not one_point or (change.parameter is not None and not change.in_model):
         return None
     if change.parameter is None:
         return Cause(h.names, "wall", (NO_EFFECT,), price, change, changed={i: h.last}), h.score, values
     name = change.parameter.name
-    candidate = Candidate(change.what, (), (name,), {name: h.change.value}, active=(name,), with_prior=(name,))
+    candidate = Candidate(change.what, (), (name,), {name: h.changed.value}, active=(name,), with_prior=(name,))
     return Cause(h.names, "wall", (candidate,), price), h.score, values
 
 

@@ -8,17 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from sim_heating.closure.search.hypothesis import MIN_BIC_GAIN
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values
 from sim_heating.closure.several.causes import applies
-from sim_heating.closure.several.common_parameters import RECORD
-from sim_heating.closure.several.joint_fit import FEW_STEPS, JointHypothesis, JointModel, fit_models, joint_model
-
-DISAGREES = 1e-3
-"""Probability below which a record's own values contradict the common ones."""
-PINNED = 1e-6
-"""Standard deviation of a value that is given, over the value."""
+from sim_heating.closure.several.joint_fit import (
+    FEW_STEPS,
+    RECORD,
+    JointHypothesis,
+    JointModel,
+    fit_models,
+    joint_model,
+)
+from sim_heating.closure.verdict.policy import POLICY
 
 
 @dataclass(frozen=True)
@@ -48,11 +49,11 @@ class Evidence:
     @property
     def verdict(self) -> str:
         """What it says of the cause, in a word or two."""
-        if self.for_cause < -MIN_BIC_GAIN:
+        if self.for_cause < -POLICY.min_gain:
             return "contradicts it"
-        if self.member and self.agreement is not None and self.agreement < DISAGREES:
+        if self.member and self.agreement is not None and self.agreement < POLICY.contradicted_p:
             return "other values"
-        return "supports it" if self.member and self.for_cause > MIN_BIC_GAIN else "does not tell"
+        return "supports it" if self.member and self.for_cause > POLICY.min_gain else "does not tell"
 
 
 def evidence_of_records(
@@ -97,11 +98,14 @@ def _values(h: JointHypothesis) -> dict[str, float]:
     return {u.parameter.name: float(v) for u, v in pairs if u.parameter.name in h.model.cause.candidate.names}
 
 
-def _pinned(model: JointModel, values: Mapping[str, float]) -> JointModel:
-    """The model with those parameters of its cause at given values that records may have in common."""
+def _pinned(model: JointModel, values: Mapping[str, float], *, pinned_sigma: float = 1e-6) -> JointModel:
+    """The model with those parameters of its cause at given values that records may have in common.
+
+    pinned_sigma : standard deviation of a value that is given, over the value
+    """
     pinned = [n for n, level in model.cause.widest.items() if level != RECORD]
     model.problem.unknowns = [
-        replace(u, parameter=replace(p, value=values[p.name], sigma=PINNED * (abs(values[p.name]) or 1.0)))
+        replace(u, parameter=replace(p, value=values[p.name], sigma=pinned_sigma * (abs(values[p.name]) or 1.0)))
         if (p := u.parameter).name in pinned
         else u
         for u in model.problem.unknowns

@@ -22,36 +22,37 @@ from sim_heating.closure.close import (
     effect_parameters,
     error_problem,
     estimates_of,
+    plain_predictions,
     refit_priors,
     rmse_K,
     valued,
     write_closed_loop,
 )
 from sim_heating.closure.prior.model_error import SmoothFlightError
-from sim_heating.closure.report import CandidateScore, Finding
+from sim_heating.closure.result import (
+    NONE,
+    UNKNOWN,
+    CandidateScore,
+    Finding,
+    JointClosure,
+    NotEffect,
+    ParameterEstimate,
+    Statement,
+)
 from sim_heating.closure.search.ranking import posteriors
-from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.search.trials.told_error import told_flight
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects, sample_count
 from sim_heating.closure.several.joint_fit import JointHypothesis, joined
-from sim_heating.closure.several.joint_report import FILES, JointClosure, write_joint_closure
 from sim_heating.closure.several.joint_search import JointSearch, search_jointly
-from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
-from sim_heating.estimation.fit import FitResult, check_joint_records, fit_problem, predict_fit
+from sim_heating.estimation.fit import FitResult, check_joint_records, fit_problem
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.report.remarks import further_warnings, remarks
-from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.record import Record, load_records
 from sim_heating.simulation.predict import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-JOINT_FILES = FILES
-"""Names of the files of a joint closed loop, besides a folder for each record."""
-ALONE = 0.75
-"""Part of the time that the searches of single records take."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,7 +97,7 @@ def close_loops(
     Each record is searched by itself first; the causes that lead in any of them are then fitted to all, with common
     parameters and with the records' own: magnitude and derivatives of the heating ratio, clocks and noise are always
     own. Records may be of one control point, or of neighbouring points of one vehicle: these have only parameters of
-    the flow in common (several/common_parameters.py).
+    the flow in common (several/joint_fit.py).
 
     records    : two flight records or more, or their directories
     parameters : dotted names that each declared model is fitted with, as `close_loop` takes them
@@ -124,10 +125,10 @@ def close_loops(
     for k, record in enumerate(loaded):
 
         def report(fraction: float, text: str, k: int = k, name: str = record.name) -> None:
-            progress(ALONE * (k + fraction) / len(loaded), f"{name}: {text}")
+            progress(0.75 * (k + fraction) / len(loaded), f"{name}: {text}")
 
         loops.append(close_loop(record, parameters, progress=report))
-    return join(loops, progress=lambda f, text: progress(ALONE + (1.0 - ALONE) * f, text))
+    return join(loops, progress=lambda f, text: progress(0.75 + 0.25 * f, text))
 
 
 def join(loops: Sequence[ClosedLoop], *, progress: Progress = no_progress) -> JointClosedLoop:
@@ -137,7 +138,7 @@ def join(loops: Sequence[ClosedLoop], *, progress: Progress = no_progress) -> Jo
     if search.compared.model is None:
         return JointClosedLoop(tuple(loops), search, None, _report(loops, search, None, []))
     fitted = _refit(search)
-    return JointClosedLoop(tuple(loops), search, fitted, _report(loops, search, fitted, _plain(fitted)))
+    return JointClosedLoop(tuple(loops), search, fitted, _report(loops, search, fitted, plain_predictions(fitted)))
 
 
 def write_joint_loop(closed: JointClosedLoop, out: str | os.PathLike[str]) -> list[str]:
@@ -145,6 +146,8 @@ def write_joint_loop(closed: JointClosedLoop, out: str | os.PathLike[str]) -> li
 
     returns : names of closure.json, report.html and records.csv
     """
+    from sim_heating.closure.several.joint_report import write_joint_closure  # pages are above what is computed
+
     for loop in closed.loops:
         write_closed_loop(loop, Path(out) / loop.report.record.name)
     inputs = [loop.report.record.directory for loop in closed.loops]
@@ -167,15 +170,6 @@ def _refit(search: JointSearch) -> FitResult:
     return fit_problem(problem, np.array([values[u.label] for u in problem.unknowns]), settings=REFIT)
 
 
-def _plain(fitted: FitResult) -> list[Prediction]:
-    """Plain marches of the members of a fit, without a smooth error of their heating: fitted once more without it."""
-    problem, values = fitted.problem.without_heating_error(), fitted.fit.values
-    if problem is not fitted.problem:
-        fit = maximise_together([problem], [values], CONVERGE)[0]
-        values = fit.values if np.isfinite(fit.log_likelihood) else values
-    return [predict_fit(part, values, u) for part, u in zip(problem.record_fits, problem.errors(values), strict=True)]
-
-
 def _full_problem(trial: TrialFit, record: Record) -> FitProblem:
     """A trial's model over the whole record."""
     part = trial.problem.record_fits[0]
@@ -196,10 +190,7 @@ def _report(
     after = [loop.report.before for loop in loops]
     for i, prediction in zip(search.compared.members if plain else (), plain, strict=True):
         after[i] = prediction
-    estimated = {} if fitted is None else {
-        u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
-        for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
-    }  # fmt: skip
+    estimated = {} if fitted is None else estimates_of(fitted.problem, fitted.fit, fitted.bounds.sigma)
     shares = posteriors({" + ".join(h.names): h.score for h in search.hypotheses if h.admissible} | {NONE: 0.0})
     if search.explained and best.kind == "effect":
         share = shares[" + ".join(best.names)]

@@ -4,6 +4,14 @@ Each record keeps what the search of one record fits it with: its magnitude and 
 correction and segments held out. The likelihoods add up (FitProblem.joined). The score is that of ranking.py, summed
 over the records: a parameter of one record costs the logarithm of its number of samples, a common one that of all
 records that have it, so that one common value is cheaper than two own ones.
+
+| parameter | may be common to |
+|---|---|
+| of the flow around the vehicle (`Effect.of_flow`), such as an onset | all records, of neighbouring points too |
+| of a wall, of a table, of any other property of a point | the records of a control point |
+| of a flight (`Effect.of_flight`), of a clock, of a thermocouple | none |
+
+This is the widest that a parameter may be; the records decide how wide it is (joint_search.py).
 """
 
 from __future__ import annotations
@@ -16,35 +24,39 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.parameters import CLOCK_SKEW
+from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX
 from sim_heating.closure.prior.model_error import flight_error
-from sim_heating.closure.search.adequacy import Adequacy
 from sim_heating.closure.search.admissibility import objections
-from sim_heating.closure.search.changes.record_change import NO_EFFECT, RecordChange
+from sim_heating.closure.search.changes.record_change import problem_over
 from sim_heating.closure.search.hypothesis import Hypothesis, adequacy_of
 from sim_heating.closure.search.ranking import scatter_price
-from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.simulated_records import RECORDS
 from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import (
+    CONVERGE,
     OF_TABLE,
-    WIDENED,
     TrialFit,
-    candidate_problem,
     fitted_values,
     held_out_problem_with,
     is_of_table,
     problem_with,
     sample_count,
     table_log_prior,
+    with_error,
 )
-from sim_heating.closure.several.common_parameters import owner, widest_level
+from sim_heating.closure.verdict.adequacy import Adequacy
 from sim_heating.estimation.inference.model_error import FLIGHT_PREFIX
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import RecordFit, sensor_definition
 from sim_heating.estimation.side_by_side import maximise_together
+from sim_heating.heating.effects import effects
+from sim_heating.inputs.record import Record
+
+ALL, POINT, RECORD = LEVELS = ("all", "point", "record")
+"""Whose one value of a parameter is, the widest first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +76,7 @@ class Cause:
     names: tuple[str, ...]
     kind: str
     candidates: tuple[Candidate, ...]
-    price: float
+    price: float = 0.0
     change: RecordChange | None = None
     found: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
     changed: Mapping[int, TrialFit] = field(default_factory=dict)
@@ -92,7 +104,7 @@ class Cause:
         return f"<Cause {' + '.join(self.names)}: {', '.join(self.candidate.names)}>"
 
 
-NO_CAUSE = Cause((), "", (), 0.0)
+NO_CAUSE = Cause((), "", ())
 """Of the declared models, which have the error of their flight in common."""
 
 
@@ -206,13 +218,7 @@ def _with_size(result: SearchResult) -> TrialFit:
     error = base.problem.record_fits[0].model_error
     if size is None or error is None:
         return base
-    sized = error.of_size(*size.likeliest)
-    return replace(
-        base,
-        problem=base.problem.with_model_error(sized),
-        held_out=base.held_out and base.held_out.with_model_error(sized),
-        size=size,
-    )
+    return replace(with_error(base, error.of_size(*size.likeliest)), size=size)
 
 
 def _part(cause: Cause, base: TrialFit) -> TrialFit:
@@ -220,14 +226,14 @@ def _part(cause: Cause, base: TrialFit) -> TrialFit:
     if cause.change is None:
         problem, held_out = problem_with(base, cause.candidate), held_out_problem_with(base, cause.candidate)
         return replace(base, candidate=cause.candidates[-1], problem=problem, held_out=held_out)
-    parts = [p.record_fits[0] for p in (base.problem, base.held_out) if p is not None]
-    problems: list[FitProblem] = []
-    for part in parts:
-        record = cause.change.apply(part.record, 0.0)
-        masks = {"sample_masks": [record.holdout_mask()]} if problems else {}
-        changed = replace(part, record=record)
-        problems.append(candidate_problem(base, changed, NO_EFFECT, part.names, prior_scale=WIDENED, **masks))
-    return replace(base, problem=problems[0], held_out=problems[1] if len(problems) > 1 else None)
+    change = cause.change
+
+    def over(problem: FitProblem) -> FitProblem:
+        part = problem.record_fits[0]
+        held_out = problem is base.held_out
+        return problem_over(base, part, change.apply(part.record, 0.0), part.names, held_out=held_out)
+
+    return replace(base, problem=over(base.problem), held_out=base.held_out and over(base.held_out))
 
 
 FEW_STEPS = 15
@@ -290,23 +296,23 @@ class JointHypothesis(Hypothesis):
         The smallest of n independent p-values is below p with the probability 1 - (1 - p)^n (Sidak 1967).
         """
         names = [self.by_record[i].problem.record_fits[0].record.name for i in self.members]
-        found = [self.adequacy_by_record[i] for i in self.members]
+        of_members = [self.adequacy_by_record[i] for i in self.members]
         counts = np.array([sample_count(self.by_record[i].problem) for i in self.members], dtype=float)
 
         def mean(values: Sequence[float]) -> float:
             return float(np.average(values, weights=counts))
 
-        held_out = [a.chi2_holdout for a in found if a.chi2_holdout is not None]
+        held_out = [a.chi2_holdout for a in of_members if a.chi2_holdout is not None]
         return Adequacy(
-            p_value=-math.expm1(len(found) * math.log1p(-min(a.p_value for a in found))),
-            chi2_fit=mean([a.chi2_fit for a in found]),
+            p_value=-math.expm1(len(of_members) * math.log1p(-min(a.p_value for a in of_members))),
+            chi2_fit=mean([a.chi2_fit for a in of_members]),
             chi2_holdout=float(np.mean(held_out)) if held_out else None,
-            lag1=mean([a.lag1 for a in found]),
-            sign_changes=mean([a.sign_changes for a in found]),
-            by_sensor={f"{n}, {k}": v for n, a in zip(names, found, strict=True) for k, v in a.by_sensor.items()},
-            by_phase={f"{n}, {k}": v for n, a in zip(names, found, strict=True) for k, v in a.by_phase.items()},
-            statistic=max(a.statistic for a in found),
-            unstructured=all(a.unstructured for a in found),
+            lag1=mean([a.lag1 for a in of_members]),
+            sign_changes=mean([a.sign_changes for a in of_members]),
+            by_sensor={f"{n}, {k}": v for n, a in zip(names, of_members, strict=True) for k, v in a.by_sensor.items()},
+            by_phase={f"{n}, {k}": v for n, a in zip(names, of_members, strict=True) for k, v in a.by_phase.items()},
+            statistic=max(a.statistic for a in of_members),
+            unstructured=all(a.unstructured for a in of_members),
         )
 
     @cached_property
@@ -434,3 +440,44 @@ def parameter_cost(h: JointHypothesis) -> float:
     names = h.model.cause.candidate.names
     unknowns = [u for u in h.model.problem.unknowns if u.parameter.name in names]
     return sum(math.log(sum(counts[i] for i in u.records)) for u in unknowns)
+
+
+# Whose one value of a parameter is ------------------------------------------------------------------------------------
+
+
+def widest_level(name: str) -> str:
+    """The widest level at which records may have a parameter in common.
+
+    name : dotted name of a parameter of the model, a record or an effect
+    """
+    if name in RECORD_PARAMETERS or name.startswith(SENSOR_PREFIX):
+        return RECORD
+    for effect in effects().values():
+        prefix = f"{EFFECT_PREFIX}{effect.name}."
+        own = name.removeprefix(prefix) if name.startswith(prefix) else effect.own_name(name)
+        if own is not None:
+            return RECORD if own in effect.of_flight else ALL if own in effect.of_flow else POINT
+    return POINT
+
+
+def owner(level: str, record: Record, one_point: bool) -> str:
+    """Owner of a parameter in a record, as `FitProblem.joined` takes it: empty for all records.
+
+    one_point : whether all records are of one control point
+    """
+    if level == RECORD:
+        return record.name
+    return "" if level == ALL or one_point else record.declared.control_point
+
+
+def narrower_levels(level: str, records: Sequence[Record]) -> list[str]:
+    """Levels below one at which more values of a parameter are estimated; none where every record has its own."""
+    points = [r.declared.control_point for r in records]
+    levels, one_point = [], len(set(points)) == 1
+    owners = {owner(level, r, one_point) for r in records}
+    for narrower in LEVELS[LEVELS.index(level) + 1 :]:
+        own = {owner(narrower, r, one_point) for r in records}
+        if len(own) > len(owners):
+            levels.append(narrower)
+            owners = own
+    return levels

@@ -9,10 +9,8 @@ a point, or of a record), and `estimated` with labels `name@owner`.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,151 +25,15 @@ from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.credibility import credibility_of_finding
-from sim_heating.closure.report import CandidateScore, Closure, Finding, tell_apart_section
-from sim_heating.closure.search.hypothesis import MIN_BIC_GAIN
-from sim_heating.closure.search.trials.told_error import flight_as_json, flight_in_words
-from sim_heating.closure.several.common_parameters import RECORD
+from sim_heating.closure.report import tell_apart_section
+from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone, finite, listed
+from sim_heating.closure.search.trials.told_error import flight_as_json
 from sim_heating.closure.several.evidence import Evidence
-from sim_heating.closure.several.joint_search import JointSearch
-from sim_heating.closure.statement import ParameterEstimate, Statement, finite
+from sim_heating.closure.several.joint_fit import RECORD
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
-from sim_heating.credibility.statement import Statement as Credibility
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, shade_holdout
 from sim_heating.simulation.predict import Prediction
-
-FILES = NAME, PAGE, RECORDS = "closure.json", "report.html", "records.csv"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class JointClosure:
-    """The result of closing the loop on several records jointly.
-
-    closures   : each record by itself
-    search     : the joint search, with what each record adds
-    effects    : common effects; a single "none" or "unknown" where there are none
-    statement  : the finding, its alternatives, its adequacy, and causes that are no effect
-    candidates : causes that were fitted jointly, "none" included
-    parameters : all estimates of the last fit, by label
-    after      : each record with what was found [K]; of a record without it, its declared model with derivatives fitted
-    warnings   : on the fit
-    flights    : by flight, the error that its points have in common: by name, value and standard deviation in its unit;
-                 None where the readings do not tell it apart
-    """
-
-    closures: Sequence[Closure]
-    search: JointSearch
-    effects: Sequence[Finding]
-    statement: Statement
-    candidates: Sequence[CandidateScore]
-    parameters: Mapping[str, ParameterEstimate]
-    after: Sequence[Prediction]
-    warnings: Sequence[str] = ()
-    flights: Mapping[str, Mapping[str, tuple[float, float] | None]] = field(default_factory=dict)
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the records."""
-        return [c.record.name for c in self.closures]
-
-    @property
-    def named(self) -> str:
-        """What was found in common; "unknown" or "none"."""
-        if self.search.explained:
-            return " + ".join(" or ".join(names) for names in self.statement.alternatives)
-        return self.effects[0].name
-
-    @cached_property
-    def credibility(self) -> Credibility:
-        """What supports the joint finding, factor by factor."""
-        faulty = any(c.faults for c in self.closures)
-        reference = self.closures[0].reference
-        return credibility_of_finding(
-            self.statement, self.after, self.parameters, reference, self.pooled(self.after), faulty=faulty
-        )
-
-    def pooled(self, predictions: Sequence[Prediction]) -> dict[str, Any]:
-        """rmse_K, max_abs_K and n over all records' fit and holdout segments; None where none has a sample."""
-        found = [p.segment_errors() for p in predictions]
-        return {segment: _pooled([f[segment] for f in found]) for segment in ("fit", "holdout")}
-
-    def __repr__(self) -> str:
-        before, after = (self.pooled(p)["fit"]["rmse_K"] for p in ([c.before for c in self.closures], self.after))
-        errors = f"RMSE {before:.2f} K before, {after:.2f} K after"
-        return f"<JointClosedLoop of {', '.join(self.names)}: {self.statement.in_short()}, {errors}>"
-
-    def in_words(self) -> str:
-        """The finding in a few words, with the records that have it where not all do."""
-        words = _plural(self.statement.in_words())
-        without = [e.record for e in self.search.evidence if not e.member]
-        if not self.search.explained or not without:
-            return words
-        return f"{words} in {_listed([n for n in self.names if n not in without])}, not in {_listed(without)}"
-
-    def certainty(self) -> str:
-        """How sure the finding is, in one line."""
-        return _plural(self.statement.certainty())
-
-    def remarks(self) -> list[str]:
-        """What differs between the records, and faults of their data, a line each."""
-        best = self.search.best
-        lines = [f"{c.record.name}, by itself: {f.message}" for c in self.closures for f in c.faults]
-        lines += self._not_tried_in_common()
-        for flight, errors in self.flights.items():
-            lines.append(f"Error of flight {flight}, of all its points: {flight_in_words(errors) or 'not told apart'}")
-        if best.model is None or not self.search.explained:
-            return lines
-        for e in self.search.evidence:
-            if e.verdict == "contradicts it":
-                lines.append(
-                    f"{e.record} contradicts {' + '.join(best.names)}: with the values of the other records its score "
-                    f"is {-e.for_cause:.0f} worse than without it; by itself it concludes: {_alone(e)}"
-                )
-            elif e.verdict == "other values":
-                lines.append(f"{e.record} gives other values than those in common (p = {e.agreement:.1g})")
-        for name, level in best.model.levels.items():
-            own = {k: p for k, p in self.parameters.items() if k.partition(AT)[0] == name and AT in k}
-            if len(own) > 1 and level != best.model.cause.widest[name]:
-                values = ", ".join(f"{p.value:.4g} +- {p.sigma:.2g} in {k.partition(AT)[2]}" for k, p in own.items())
-                lines.append(f"{name.rpartition('.')[2]} is not in common: {values}")
-        return lines
-
-    def _not_tried_in_common(self) -> list[str]:
-        """What explains a record by itself and was not fitted to all, as the flux of a lamp, a line each."""
-        tried = {name for h in self.search.hypotheses for name in h.names}
-        lines = []
-        for closure, alone in zip(self.closures, self.search.alone, strict=True):
-            sets = zip(alone.conclusion.alternatives, closure.statement.alternatives, strict=True)
-            words = [w for names, said in sets for n, w in zip(names, said, strict=True) if n not in tried]
-            if alone.explained and words:
-                lines.append(f"{closure.record.name}, by itself: {_listed(words)}, which was not tried in common")
-        return lines
-
-
-def _plural(text: str) -> str:
-    """A statement on one record as one on several."""
-    for one, several in (("the record to its", "the records to their"), ("the record shows", "the records show")):
-        text = text.replace(one, several)
-    return re.sub(r"\bthe record\b", "the records", text)
-
-
-def _pooled(errors: Sequence[Mapping[str, float] | None]) -> dict[str, float] | None:
-    known = [e for e in errors if e is not None and e["n"]]
-    count = sum(e["n"] for e in known)
-    if not count:
-        return None
-    rmse = float(np.sqrt(sum(e["n"] * e["rmse_K"] ** 2 for e in known) / count))
-    return {"rmse_K": rmse, "max_abs_K": max(e["max_abs_K"] for e in known), "n": int(count)}
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-
-
-def _alone(e: Evidence) -> str:
-    """The finding of a record by itself."""
-    return {"partly": f"resembles {e.named}", "unknown": "unknown", "none": "none"}.get(e.alone, e.named)
-
 
 # Files ----------------------------------------------------------------------------------------------------------------
 
@@ -256,7 +118,8 @@ def write_joint_closure(found: JointClosure, folder: Path) -> None:
 def joint_page(found: JointClosure) -> Page:
     """The report as a page."""
     points = dict.fromkeys(c.record.declared.control_point for c in found.closures)
-    subtitle = f"Records {_listed(found.names)}, control point{'s' if len(points) > 1 else ''} {_listed(list(points))}"
+    several = "s" if len(points) > 1 else ""
+    subtitle = f"Records {listed(found.names)}, control point{several} {listed(list(points))}"
     causes = found.statement.not_effects
     not_effects = Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])
     sections = sections_of({
@@ -289,7 +152,8 @@ def evidence_table(found: JointClosure) -> Table:
         Column("agrees, p", "agreement_p", ".2g"), Column("verdict", is_text=True),
     ]  # fmt: skip
     rows: list[list[Any]] = [
-        [e.record, e.point, _alone(e), e.for_cause, e.over_rival, e.agreement, e.verdict] for e in found.search.evidence
+        [e.record, e.point, finding_alone(e), e.for_cause, e.over_rival, e.agreement, e.verdict]
+        for e in found.search.evidence
     ]
     if best.model is not None:
         # of a record without the cause the score in the sum is that of its own explanation
@@ -304,7 +168,7 @@ def evidence_table(found: JointClosure) -> Table:
 def _evidence_section(found: JointClosure) -> Section:
     text = [
         "Differences of BIC with the segments held out, above 0 where a record speaks for the cause, and where it "
-        f"speaks for it rather than for the next one; {MIN_BIC_GAIN:g} is what a finding needs. `common` is what "
+        f"speaks for it rather than for the next one; {POLICY.min_gain:g} is what a finding needs. `common` is what "
         "parameters in common, priors and the number of forms cost. A record that has not got the cause is judged with "
         "the values of the others, and counts in the sum with what it shows by itself. The p-value is that of values "
         "of its own as far from the common ones.",

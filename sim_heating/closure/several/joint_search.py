@@ -17,13 +17,11 @@ import numpy as np
 
 from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.closure.search.hypothesis import MIN_BIC_GAIN, Conclusion, conclude
-from sim_heating.closure.search.refine import CONTENDER_MARGIN
+from sim_heating.closure.search.hypothesis import Conclusion, conclude
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.closure.several.causes import applies, leading_causes
-from sim_heating.closure.several.common_parameters import narrower_levels
 from sim_heating.closure.several.evidence import Evidence, evidence_of_records, evidence_without_cause
 from sim_heating.closure.several.joint_fit import (
     FEW_STEPS,
@@ -33,17 +31,14 @@ from sim_heating.closure.several.joint_fit import (
     fit_models,
     joint_hypothesis,
     joint_model,
+    narrower_levels,
     parameter_cost,
     rated,
     with_common_flights,
 )
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.heating.effects import effects
-
-STARTS = 3
-"""Starts of each form of a cause: what as many records found alone."""
-RICHER, LEFT_OUT = 3, 2
-"""Leading causes of which parameters are freed by record, and of which records are left out."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,13 +95,15 @@ def search_jointly(alone: Sequence[SearchResult], *, progress: Progress = no_pro
     declared = [(base, 0.0) for base in bases]
     none = JointHypothesis((bases[0],), by_record=tuple(bases), alone=(0.0,) * len(bases))
     progress(0.05, "causes in all records together")
-    found = [joint_hypothesis(m, f, bases, declared) for m, f in _fitted(leading_causes(alone), bases)]
-    ranked = _best_of_each(none, found)
+    hypotheses = [joint_hypothesis(m, f, bases, declared) for m, f in _fitted(leading_causes(alone), bases)]
+    ranked = _best_of_each(none, hypotheses)
     progress(0.5, "parameters of each record's own")
-    ranked = _best_of_each(none, [*_with_own_parameters(none, ranked[:RICHER], bases), *ranked[RICHER:]])
+    ranked = _best_of_each(
+        none, [*_with_own_parameters(none, ranked[: EFFORT.rivals], bases), *ranked[EFFORT.rivals :]]
+    )
     progress(0.75, "records without the cause")
     explanations = [_own_explanation(result) for result in alone]
-    without = [_without_records(none, h, bases, explanations) for h in ranked[:LEFT_OUT]]
+    without = [_without_records(none, h, bases, explanations) for h in ranked[: EFFORT.starts]]
     if without:
         best = rated(none, [*without, *ranked])[0]
         # the others are compared over all records: what one of them leaves out may be explained by the best itself
@@ -127,7 +124,7 @@ def _fitted(causes: Sequence[Cause], bases: Sequence[TrialFit]) -> list[tuple[Jo
         members = [i for i, base in enumerate(bases) if applies(cause, base)]
         if len(members) < 2:
             continue
-        for i in [i for i in members if i in cause.found][:STARTS]:
+        for i in [i for i in members if i in cause.found][: EFFORT.rivals]:
             # another problem each time: side by side, none may occur twice
             model = joint_model(cause, bases, members, cause.widest)
             common = {n: v for n, v in cause.found[i].items() if n in cause.candidate.names}
@@ -142,10 +139,10 @@ def _fitted(causes: Sequence[Cause], bases: Sequence[TrialFit]) -> list[tuple[Jo
     return list(best.values())
 
 
-def _best_of_each(none: JointHypothesis, found: Sequence[JointHypothesis]) -> list[JointHypothesis]:
+def _best_of_each(none: JointHypothesis, hypotheses: Sequence[JointHypothesis]) -> list[JointHypothesis]:
     """The best hypothesis of each cause, best first."""
     best: dict[frozenset[str], JointHypothesis] = {}
-    for h in rated(none, found):
+    for h in rated(none, hypotheses):
         best.setdefault(frozenset(h.names), h)
     return rated(none, list(best.values()))
 
@@ -163,18 +160,20 @@ def _with_own_parameters(
     """
     models = [_narrowed(h, bases, None) for h in ranked]
     tried = [k for k, m in enumerate(models) if m is not None]
-    found = dict(zip(tried, _fit_narrower([ranked[k] for k in tried], [models[k] for k in tried], bases), strict=True))
-    every = rated(none, [*ranked, *found.values()])
+    narrowed = dict(
+        zip(tried, _fit_narrower([ranked[k] for k in tried], [models[k] for k in tried], bases), strict=True)
+    )
+    every = rated(none, [*ranked, *narrowed.values()])
     results, best = [], every[0].score if every else 0.0
     for k, h in enumerate(ranked):
-        if k not in found:
+        if k not in narrowed:
             results.append(h)
             continue
-        common, own = (next(r for r in every if r.model is x.model) for x in (h, found[k]))
+        common, own = (next(r for r in every if r.model is x.model) for x in (h, narrowed[k]))
         gained = common.score - common.price - (own.score - own.price) + _more(common, own)
         costs = math.log(sample_count(bases[0].problem))
-        near = common.score - gained < best + CONTENDER_MARGIN
-        results.append(_one_by_one(none, h, found[k], bases) if gained > costs and near else h)
+        near = common.score - gained < best + POLICY.rival_margin
+        results.append(_one_by_one(none, h, narrowed[k], bases) if gained > costs and near else h)
     return results
 
 
@@ -217,12 +216,12 @@ def _fit_narrower(
         wanted += [model, joint_model(model.cause, bases, model.members, model.levels)]
         starts += [model.start(values), model.start(alone)]
     fits = fit_models(wanted, starts, iterations=FEW_STEPS)
-    declared, found = [(base, 0.0) for base in bases], []
+    declared, hypotheses = [(base, 0.0) for base in bases], []
     for k, h in enumerate(wider):
         pairs = list(zip(wanted, fits, strict=True))[2 * k : 2 * k + 2]
         model, fit = max(pairs, key=lambda p: p[1].log_likelihood if np.isfinite(p[1].log_likelihood) else -np.inf)
-        found.append(joint_hypothesis(model, fit, bases, declared) if np.isfinite(fit.log_likelihood) else h)
-    return found
+        hypotheses.append(joint_hypothesis(model, fit, bases, declared) if np.isfinite(fit.log_likelihood) else h)
+    return hypotheses
 
 
 def _narrowed(h: JointHypothesis, bases: Sequence[TrialFit], name: str | None) -> JointModel | None:
@@ -249,8 +248,8 @@ def _without_records(
 ) -> JointHypothesis:
     """The hypothesis without the records that are better explained by what their own search found, one after another.
 
-    A record is left out only where the score is lower by MIN_BIC_GAIN without it, and none where they have the error of
-    a flight in common: all of them inform that.
+    A record is left out only where the score is lower by `Policy.min_gain` without it, and none where they have the
+    error of a flight in common: all of them inform that.
     """
     if any(base.problem.record_fits[0].flight_names for base in bases):
         return h
@@ -289,7 +288,7 @@ def _needed_gain(model: JointModel, member: int) -> float:
     own &= set(model.levels)
     magnitudes = {n for c in model.cause.candidates for n in _magnitudes(c)}
     narrower = any(model.levels[n] != model.cause.widest[n] for n in own)
-    return 0.0 if narrower or (magnitudes and magnitudes <= own) else MIN_BIC_GAIN
+    return 0.0 if narrower or (magnitudes and magnitudes <= own) else POLICY.min_gain
 
 
 def _magnitudes(candidate: Candidate) -> list[str]:

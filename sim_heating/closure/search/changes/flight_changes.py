@@ -11,6 +11,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.clues.flight_consistency import Discrepancy, contradictions_of_motion, misfit_of_motion
+from sim_heating.closure.clues.record_checks import declared_readings
 from sim_heating.closure.prior.changed_flight import (
     heated_part,
     shift_conditions,
@@ -20,10 +21,12 @@ from sim_heating.closure.prior.changed_flight import (
     with_sharper_alpha,
     with_velocity,
 )
-from sim_heating.closure.record_checks import declared_readings
-from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange, Span, moved_ends
+from sim_heating.closure.search.trials.change import RecordChange, Span, moved_ends
+from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.inputs.record import Record
 
+FLUX = Parameter("factor", "1", 1.0, 0.1, 0.1, 10.0, "absorbed flux over that of the conditions")
+"""Its standard deviation is a guess: absorptances of paints and fluxes at a place under a lamp scatter by a tenth."""
 EVERYWHERE: Span = (-np.inf, np.inf)
 DENSITY = Parameter("density_factor", "1", 1.0, 0.1, 0.3, 3.0, "true density over that of the conditions")
 VELOCITY = Parameter("velocity_factor", "1", 1.0, 0.01, 0.7, 1.4, "true velocity over that of the conditions")
@@ -34,27 +37,11 @@ SHIFT = replace(CLOCK_SKEW, name="skew_s", lower=-900.0, upper=900.0, text="flig
 velocity are usual, as is half a degree of angle of attack. Conditions that are too early are thermocouples that lag."""
 SHIFT_STARTS = (-30.0, -10.0, 10.0, 30.0)
 """Shifts that a fit may start from [s]: its likelihood has a maximum of its own at each steep part of the heating."""
-SHIFT_STEP_S, MIN_OVERLAP = 10.0, 0.6
-"""Step between the shifts of a flight that are compared [s], and the part of the readings that has to lie within the
-conditions."""
-SMOOTHED_STARTS_S = (5.0, 12.0)
-"""Widths of a mean that a fit may start from [s]: without one a small width changes nothing."""
-MIN_FLIGHT_M_S = 1000.0
-"""A record whose velocity stays below is a ground test."""
-LAYERS, DRIFTS = 8, 6
-"""Parts of the heated descent, and of the heated time, at whose ends layers of density and drifts of velocity are
-tried."""
-SUSPECTED = 4
-"""Contradictions within the conditions, the clearest ones, whose spans are tried."""
 THINNEST_M, BRIEFEST_S = 1000.0, 20.0
 """Least thickness of a layer and least duration of a drift: shorter ones would imitate a manoeuvre."""
-SHARP_M = 1.0
-"""Thickness of the edges of a sharp layer [m]."""
-SMOOTH_POINTS = 33
-"""Altitudes that a smooth layer is interpolated between."""
 
 
-def motion_evidence(record: Record, fit: ChangeFit) -> float:
+def motion_evidence(record: Record, fit: TrialFit) -> float:
     """What the motion of the flight says against a change of the record, in units of BIC; 0 where it says nothing.
 
     Negative where the motion follows from the forces better with the change. The heating alone hardly tells a layer of
@@ -63,13 +50,13 @@ def motion_evidence(record: Record, fit: ChangeFit) -> float:
 
     It says nothing of a change of wall or sensors, or of a test without flow.
     """
-    if fit.change.kind != "flight" or not record.has_flow:
+    if fit.change is None or fit.change.kind != "flight" or not record.has_flow:
         return 0.0
     changed = fit.change.apply(record, fit.value)
     return misfit_of_motion(changed.conditions) - misfit_of_motion(record.conditions)
 
 
-def contradicted_by_motion(record: Record, fit: ChangeFit) -> list[str]:
+def contradicted_by_motion(record: Record, fit: TrialFit) -> list[str]:
     """How the motion of the flight contradicts a change of the record, in a line; empty where it does not.
 
     record : as in `motion_evidence`
@@ -78,27 +65,40 @@ def contradicted_by_motion(record: Record, fit: ChangeFit) -> list[str]:
     that deviates by more than the scatter of the whole flight, and more than the conditions as stated, explains the
     heating by a flight that was not flown.
     """
-    if fit.change.kind != "flight" or not record.has_flow:
+    if fit.change is None or fit.change.kind != "flight" or not record.has_flow:
         return []
     changed = fit.change.apply(record, fit.value).conditions
     return [f"{fit.change.what}: {d.message}" for d in contradictions_of_motion(record.conditions, changed)[:1]]
 
 
-def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> list[RecordChange]:
+def flight_changes(
+    record: Record,
+    suspected: Sequence[Discrepancy] = (),
+    *,
+    min_flight_m_s: float = 1000.0,
+    layers_tried: int = 8,
+    drifts_tried: int = 6,
+    max_suspected: int = 4,
+) -> list[RecordChange]:
     """Changes of the flight that may explain a record; none for a ground test.
 
     suspected : parts of the flight whose conditions contradict each other; layers of density and drifts of velocity are
                 tried there as well as along the whole heated descent
+
+    min_flight_m_s : a record whose velocity stays below is a ground test
+    layers_tried, drifts_tried : parts of the heated descent, and of the heated time, at whose ends layers of density
+        and drifts of velocity are tried
+    max_suspected : contradictions within the conditions, the clearest ones, whose spans are tried
     """
     flown = record.conditions
-    if flown["velocity_m_s"].max() < MIN_FLIGHT_M_S:
+    if flown["velocity_m_s"].max() < min_flight_m_s:
         return []
-    heated, spans = heated_part(flown), suspected[:SUSPECTED]
+    heated, spans = heated_part(flown), suspected[:max_suspected]
     z, t = flown["altitude_m"][heated], flown.time_s[heated]
     z_span, t_span = (float(z.min()), float(z.max())), (float(t.min()), float(t.max()))
-    layers = [(d.lowest_m, d.highest_m) for d in spans] + _parts(z_span, LAYERS)
+    layers = [(d.lowest_m, d.highest_m) for d in spans] + _parts(z_span, layers_tried)
     layers = [span for span in layers if span[1] - span[0] >= THINNEST_M]
-    times = [(d.begin_s, d.end_s) for d in spans] + _across(spans) + _parts(t_span, DRIFTS)
+    times = [(d.begin_s, d.end_s) for d in spans] + _across(spans) + _parts(t_span, drifts_tried)
     times = [span for span in times if span[1] - span[0] >= BRIEFEST_S]
     likeliest_s = likeliest_shift_s(record)
     starts = SHIFT_STARTS if likeliest_s is None else tuple(dict.fromkeys((*SHIFT_STARTS, likeliest_s)))
@@ -129,11 +129,13 @@ def _parts(whole: Span, count: int) -> list[Span]:
     return [(float(at[i]), float(at[i + k])) for k in (1, 2, 4) for i in range(0, count + 1 - k)]
 
 
-def likeliest_shift_s(record: Record) -> float | None:
+def likeliest_shift_s(record: Record, *, step_s: float = 10.0) -> float | None:
     """Time by which the flight was later than its conditions, by the shape of the temperatures [s]; None where unknown.
 
     Readings are fitted by a + b (prediction of the declared model, shifted), so that an error of the heating as a whole
     does not count.
+
+    step_s : step of the shifts that are compared [s]
     """
     try:
         flown_s, indicated_K = declared_readings(record)
@@ -141,18 +143,27 @@ def likeliest_shift_s(record: Record) -> float | None:
         return None
     used = [i for i, s in enumerate(record.sensors) if s.used]
     t, read, fitted = record.time_s, record.temperatures_K()[used], record.fit_mask()
-    shifts = np.arange(SHIFT.lower, SHIFT.upper + SHIFT_STEP_S, SHIFT_STEP_S)
+    shifts = np.arange(SHIFT.lower, SHIFT.upper + step_s, step_s)
     error_K = np.array([_shape_error_K(s, t[fitted], read[:, fitted], flown_s, indicated_K[used]) for s in shifts])
     return float(shifts[np.nanargmin(error_K)]) if np.any(np.isfinite(error_K)) else None
 
 
 def _shape_error_K(
-    shift_s: float, t: FloatArray, read: FloatArray, flown_s: FloatArray, indicated: FloatArray
+    shift_s: float,
+    t: FloatArray,
+    read: FloatArray,
+    flown_s: FloatArray,
+    indicated: FloatArray,
+    *,
+    min_overlap: float = 0.6,
 ) -> float:
-    """RMS about the line of measured over shifted predicted temperatures [K]; NaN for too little overlap."""
+    """RMS about the line of measured over shifted predicted temperatures [K]; NaN for too little overlap.
+
+    min_overlap : part of the readings that a shifted flight has to cover
+    """
     at = t - shift_s
     inside = (at >= flown_s[0]) & (at <= flown_s[-1])
-    if np.count_nonzero(inside) < MIN_OVERLAP * len(t):
+    if np.count_nonzero(inside) < min_overlap * len(t):
         return float("nan")
     squares, count = 0.0, 0
     for measured, predicted in zip(read, indicated, strict=True):
@@ -197,17 +208,23 @@ def density_scale() -> RecordChange:
     return RecordChange("flight", what, DENSITY, lambda r, f: with_density(r, f), _scaled(what))
 
 
-def density_layer(low_m: float, high_m: float, within: Span = EVERYWHERE) -> RecordChange:
-    """The density was another by a factor between two altitudes [m]; within : altitudes that these may be moved in."""
-    edge = SHARP_M
+def density_layer(low_m: float, high_m: float, within: Span = EVERYWHERE, *, edge_m: float = 1.0) -> RecordChange:
+    """The density was another by a factor between two altitudes [m]; within : altitudes that these may be moved in.
+
+    edge_m : thickness of the edges of a sharp layer [m]
+    """
+    edge = edge_m
     shape = ([low_m - edge, low_m, high_m, high_m + edge], [0.0, 1.0, 1.0, 0.0])
     return _layer("density between", "", density_layer, (low_m, high_m), shape, within)
 
 
-def smooth_layer(low_m: float, high_m: float, within: Span = EVERYWHERE) -> RecordChange:
+def smooth_layer(low_m: float, high_m: float, within: Span = EVERYWHERE, *, points: int = 33) -> RecordChange:
     """The density was another by a factor that rises and falls between two altitudes [m], as 1 - cos; within : as
-    above."""
-    at = np.linspace(0.0, 1.0, SMOOTH_POINTS)
+    above.
+
+    points : altitudes that a smooth layer is interpolated between
+    """
+    at = np.linspace(0.0, 1.0, points)
     shape = ((low_m + (high_m - low_m) * at).tolist(), (0.5 - 0.5 * np.cos(2.0 * np.pi * at)).tolist())
     return _layer("density of a smooth layer between", ", at most", smooth_layer, (low_m, high_m), shape, within)
 
@@ -275,14 +292,17 @@ def alpha_bias() -> RecordChange:
     return RecordChange("flight", "angle of attack of the flight conditions", ALPHA, with_alpha, describe)
 
 
-def alpha_smoothed() -> RecordChange:
-    """The stated angle of attack is a mean over some seconds of the one flown."""
+def alpha_smoothed(starts_s: tuple[float, float] = (5.0, 12.0)) -> RecordChange:
+    """The stated angle of attack is a mean over some seconds of the one flown.
+
+    starts_s : widths of a mean that a fit may start from [s]: without one a small width changes nothing
+    """
 
     def describe(width_s: float) -> str:
         return f"angle of attack stated as a mean over {width_s:.2g} s (standard deviation)"
 
     what = "smoothing of the angle of attack"
-    return RecordChange("flight", what, SMOOTHED, with_sharper_alpha, describe, SMOOTHED_STARTS_S)
+    return RecordChange("flight", what, SMOOTHED, with_sharper_alpha, describe, starts_s)
 
 
 def _scaled(what: str, more: str = "") -> Callable[[float], str]:
@@ -292,3 +312,27 @@ def _scaled(what: str, more: str = "") -> Callable[[float], str]:
         return f"{what} {100.0 * abs(1.0 / factor - 1.0):.2g} % too {'low' if factor > 1.0 else 'high'}{more}"
 
     return describe
+
+
+def lamp_changes(record: Record) -> list[RecordChange]:
+    """Another flux of the lamp, or absorptance of the surface; none where air flows past the wall or nothing is lit.
+
+    A test under a lamp has no reference heating whose ratio could take up an error of the flux, and the flux of a lamp,
+    or the absorptance of a surface, is what is known worst in it. Both are one factor of the column `q_add_W_m2`.
+    """
+    flown = record.conditions
+    if record.has_flow or "q_add_W_m2" not in flown or not np.any(flown["q_add_W_m2"]):
+        return []
+    return [RecordChange("flight", "flux of the lamp", FLUX, with_flux, _describe_flux)]
+
+
+def with_flux(record: Record, factor: float) -> Record:
+    """The record with its absorbed flux times a factor [-]."""
+    flown = record.conditions
+    return replace(record, conditions=flown.with_columns(q_add_W_m2=factor * flown["q_add_W_m2"]))
+
+
+def _describe_flux(factor: float) -> str:
+    percent = 100.0 * abs(factor - 1.0)
+    size = f"{percent:{'.0f' if percent >= 10.0 else '.2g'}} % {'above' if factor > 1.0 else 'below'} the stated one"
+    return f"flux of the lamp (or absorptance of the surface) {size}"

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import Parameter
-from sim_heating.closure.search.changes.record_change import RecordChange, Span, moved_ends
 from sim_heating.closure.search.changes.wall_changes import with_layers
+from sim_heating.closure.search.trials.change import RecordChange, Span, moved_ends
 from sim_heating.heating.effects.conductivity import LEAST_DECADES
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
@@ -30,10 +30,8 @@ from sim_heating.march.point import insulation_layer
 from sim_heating.thermal.mesh import DIFFUSIVITY_AT_K, DIFFUSIVITY_AT_PA
 from sim_heating.thermal.stack import Material, PressureTable, pairs
 
-LEAST_FACTOR, MOST_CHANGE = 0.05, 3.0
-"""Least factor on a property, over f [-], and largest change d of either sign: they limit d."""
-STEPS = 8
-"""Linear pieces of the step."""
+LEAST_FACTOR = 0.05
+"""Least factor on a property, over f [-]: it limits the change d, which is 3 at most, of either sign."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +59,12 @@ class Axis:
     def limits(self, span: Span) -> tuple[float, float]:
         """Bounds of the change d, within which the factor is LEAST_FACTOR or more at any place [-]."""
         room = 1.0 - LEAST_FACTOR
-        below, above = np.maximum(np.abs(self.shape(span, span)), room / MOST_CHANGE)
+        below, above = np.maximum(np.abs(self.shape(span, span)), room / 3.0)
         return float(-room / above), float(room / below)
 
     def points(self, span: Span) -> FloatArray:
         """Places between which the step is linear, and that of its zero."""
-        return np.append(np.linspace(*span, STEPS + 1), self.zero)
+        return np.append(np.linspace(*span, 9), self.zero)
 
 
 TEMPERATURE = Axis(

@@ -14,34 +14,30 @@ it can gain; changes that predict little are not fitted.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
-from sim_heating.base.parameters import Parameter
-from sim_heating.closure.search.trials.candidates import Candidate
-from sim_heating.closure.search.trials.screening import (
-    GAIN_MARGIN,
-    MIN_GAIN_SHARE,
-    STEPS_AHEAD,
-    gain_of_step,
-    gains_over,
-)
+from sim_heating.closure.search.trials.candidates import NO_EFFECT
+from sim_heating.closure.search.trials.change import RecordChange
+from sim_heating.closure.search.trials.screening import STEPS_AHEAD, gain_of_step, gains_over
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     WIDENED,
     TrialFit,
     candidate_problem,
+    corrected,
     fitted_values,
     own_thinning_error,
     sample_count,
     start_values,
 )
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.error_likelihood import scored_readings
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
@@ -50,154 +46,12 @@ from sim_heating.estimation.record_fit import FittedChannel, RecordFit
 from sim_heating.estimation.side_by_side import JointMarch, iterate_together, maximise_together
 from sim_heating.inputs.record import Record
 
-DIFFERENCE = 0.1
-"""Step h of the sensitivity to a change, over the usual standard deviation of its parameter."""
-FIRST_STEPS = replace(QUICK, iterations=5)
-"""Settings of the first stage, after which changes that stay far behind are not fitted on."""
-EFFECT_SHARE = 0.5
-"""Part of the best gain that a change which is an effect by name has to predict, at most."""
-NEARLY, MOST_SEARCHES = 0.95, 3
-"""Part of the best gain from which on the ends of a change are searched further, and how often, each with a fit."""
+NEARLY = 0.95
+"""Part of the best gain from which on the ends of a change are searched further, each time with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
-ENDS_MOVED_FINELY = (0.06, 0.03, 0.015, 0.007, 0.06, 0.03, 0.015, 0.007)
-"""The same, further on, where the change leads: some seconds of a large error are far above the noise."""
-GROSS_EXCESS = 10.0
-"""Excess chi-square from which on the estimates of a model may be distorted by a wrong sensor."""
-RECORRECTED, RECORRECTED_FROM = 3, 1.0
-"""Leading changes that have the mesh correction of their own record, at most; those with a parameter where they gain
-nearly as much as the best. Excess chi-square of the declared model from which on they have it."""
-WITHOUT_VALUE_SHARE = 0.5
-"""Most that a change without a value is asked for in place of `share`: from the estimates of the declared record, which
-may be far from its own, one step promises too little."""
 CANNOT_BE = (InputError, RunError)
 """What a record raises that a change makes impossible: such a change explains nothing, and ends no search."""
-NO_EFFECT = Candidate("none", (), (), {}, (), ())
-Span = tuple[float, float]
-"""Begin and end of a part of a flight, of the air, or of a table."""
-
-
-def moved_ends(span: Span, fraction: float, shortest: float, within: Span) -> list[Span]:
-    """A span with either end, or both, moved by a fraction of its length; within limits, and not too short."""
-    low, high = span
-    by = fraction * (high - low)
-    moves = ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by), (-by, -by), (by, by))
-    spans = [(max(low + a, within[0]), min(high + b, within[1])) for a, b in moves]
-    return [(a, b) for a, b in dict.fromkeys(spans) if b - a >= shortest and (a, b) != span]
-
-
-@dataclass(frozen=True, eq=False)
-class RecordChange:
-    """A change of a record's flight, wall or sensors that may explain it.
-
-    kind      : of the cause: "flight", "wall" or "sensor"
-    what      : the change in words, without a value: "density of the flight conditions"
-    parameter : its unknown: neutral value, standard deviation that is usual (finite), bounds; None for a change without
-    apply     : the changed record at a value (0 where there is no parameter). The times of conditions and measurements
-                stay as they are; where readings change with the value, their sensor has no recorder word any more
-    describe  : the change in words, with its value: "density of the flight conditions 8 % too low"
-    starts    : further values that a fit may start from, where the neutral one is too far away
-    effect    : the effect of a closure report that it is, such as "time-skew", whose parameter has the name of its own;
-                empty where no name covers it
-    form      : in words, what it has in common with changes of which one alone is fitted, such as layers of density
-                between other altitudes; by default `what`
-    near      : changes of the same form whose ends in time or altitude are moved by a fraction of its span; None where
-                it has no ends. Both ends are searched, and count as unknowns
-    known_log_likelihood : of readings that the changed record lacks because the change explains them by itself, such as
-                those of a stuck thermocouple: of fitted ones, and of those held out
-    in_model  : whether the unknown is a parameter of the point's model or of a sensor by its dotted name, such as
-                `stack.al2024.heat_capacity_factor`: it is then estimated with the others, with its exact derivative
-    free      : dotted names of parameters of the point's model that are estimated with it
-    ends      : of a change with ends that is an effect, by their names in a closure report: value and unit
-    """
-
-    kind: Literal["flight", "wall", "sensor"]
-    what: str
-    parameter: Parameter | None
-    apply: Callable[[Record, float], Record]
-    describe: Callable[[float], str]
-    starts: tuple[float, ...] = ()
-    in_model: bool = False
-    effect: str = ""
-    form: str = ""
-    near: Callable[[float], Sequence[RecordChange]] | None = None
-    known_log_likelihood: tuple[float, float] = (0.0, 0.0)
-    free: tuple[str, ...] = ()
-    ends: Mapping[str, tuple[float, str]] = field(default_factory=dict)
-
-    @property
-    def neutral(self) -> float:
-        """Value at which the record is as declared; 0 for a change without a parameter, which has none."""
-        return 0.0 if self.parameter is None else self.parameter.value
-
-    @property
-    def name(self) -> str:
-        """Its name among causes: that of the effect that it is, else the change in words, without a value."""
-        return self.effect or self.what
-
-    @property
-    def family(self) -> str:
-        """What shares one prior probability, as the forms of an effect do.
-
-        Changes of one form, all of the sensors, or all properties of the layers; else the change by itself.
-        """
-        together = self.kind if self.kind == "sensor" or self.in_model else self.what
-        return self.form or together
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns that it adds to a model: its parameter, those estimated with it, and its ends."""
-        return (0 if self.parameter is None else 1) + len(self.free) + (0 if self.near is None else 2)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ChangeFit:
-    """A model fitted to a changed record.
-
-    change : what was changed
-    value, sigma : of its parameter with its standard deviation, in its unit; 0 where it has none
-    trial  : the model on the changed record, whose `fit` has the model's parameters; effects may be tried on top of it
-    fit    : of all unknowns, the parameter of the change last
-    delta_bic : BIC minus that of the model on the record as declared, residuals taken as noise (c = 1)
-    """
-
-    change: RecordChange
-    value: float
-    sigma: float
-    trial: TrialFit
-    fit: Fit
-    delta_bic: float
-
-    @property
-    def deviation(self) -> float:
-        """Distance of the value from the neutral one over the standard deviation that is usual [-]; 0 without one."""
-        parameter = self.change.parameter
-        return 0.0 if parameter is None else abs(self.value - parameter.value) / parameter.sigma
-
-    @property
-    def deviations_of_free(self) -> list[float]:
-        """The same of the model's parameters that are estimated with the change [-]."""
-        part, found = self.trial.problem.record_fits[0], fitted_values(self.trial)
-        priors = {name: part.model.definition(name) for name in self.change.free}
-        return [abs(found[name] - p.value) / p.sigma for name, p in priors.items()]
-
-    @property
-    def estimates(self) -> dict[str, tuple[Parameter, float, float]]:
-        """Parameter, value and standard deviation by the name of the parameter; none for a change without one."""
-        parameter = self.change.parameter
-        return {} if parameter is None else {parameter.name: (parameter, self.value, self.sigma)}
-
-    @property
-    def on_bound(self) -> bool:
-        """Whether the value is on a bound of its parameter."""
-        return self.change.parameter is not None and bool(self.fit.on_bound[-1])
-
-    def describe(self) -> str:
-        """The change in words with its value."""
-        return self.change.describe(self.value)
-
-    def __repr__(self) -> str:
-        return f"<ChangeFit: {self.describe()}, BIC {self.delta_bic:+.1f}>"
 
 
 class _ChangedModel:
@@ -216,7 +70,7 @@ class _ChangedModel:
             if not 0.0 < change.parameter.sigma < np.inf:
                 raise InputError(f"{change.what}: its parameter needs a finite sigma above 0")
             self.parameters.append(replace(change.parameter, sigma=WIDENED * change.parameter.sigma))
-            self.step = DIFFERENCE * change.parameter.sigma
+            self.step = 0.1 * change.parameter.sigma  # h of the sensitivity
         self._problems: dict[float, FitProblem] = {}
         self._moved = base.problem
 
@@ -231,7 +85,7 @@ class _ChangedModel:
             return self.base.problem
         if value not in self._problems:
             part = self.base.problem.record_fits[0]
-            problem = _problem_over(self.base, part, self.change.apply(part.record, value), part.names)
+            problem = problem_over(self.base, part, self.change.apply(part.record, value), part.names)
             problem.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[0]
             self._problems[value] = problem
         return self._problems[value]
@@ -250,7 +104,7 @@ class _ChangedModel:
         part = whole.record_fits[0]
         changed = self.change.apply(self.base.problem.record_fits[0].record, self._stepped(value))
         # its temperatures alone are needed: the march has no sensitivities
-        self._moved = _problem_over(self.base, part, changed, part.sensor_names)
+        self._moved = problem_over(self.base, part, changed, part.sensor_names)
         moved = self._moved.record_fits[0]
         # of the changed wall, at the same parameters
         moved.model = moved.model.with_parameters(dict(zip(part.march_names, values[part.index], strict=False)))
@@ -308,7 +162,7 @@ class _ChangedModel:
         if self.base.held_out is None:
             return None
         part = self.base.held_out.record_fits[0]
-        return _problem_over(self.base, part, changed(part.record), names or part.names, held_out=True)
+        return problem_over(self.base, part, changed(part.record), names or part.names, held_out=True)
 
 
 class _EstimatedModel(_ChangedModel):
@@ -321,7 +175,7 @@ class _EstimatedModel(_ChangedModel):
         part = base.problem.record_fits[0]
         # a parameter of the march is the last of these; those of clock and sensors follow
         self._names = (*part.names, self.parameters[-1].name)
-        self._problem = _problem_over(base, part, part.record, self._names)
+        self._problem = problem_over(base, part, part.record, self._names)
         self._order = np.array([self._names.index(n) for n in self._problem.record_fits[0].names])
         self._place = np.argsort(self._order)
 
@@ -331,9 +185,9 @@ class _EstimatedModel(_ChangedModel):
 
     def evaluate(self, vector: FloatArray) -> Evaluation:
         """As that of the problem, the parameter of the change last."""
-        found = self._problem.evaluate(vector[self._order])
-        information = found.information[np.ix_(self._place, self._place)]
-        return Evaluation(found.log_likelihood, found.gradient[self._place], information)
+        evaluation = self._problem.evaluate(vector[self._order])
+        information = evaluation.information[np.ix_(self._place, self._place)]
+        return Evaluation(evaluation.log_likelihood, evaluation.gradient[self._place], information)
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
         """(candidate,) log likelihoods of several vectors; NaN where a march fails."""
@@ -358,7 +212,7 @@ def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
 
     def freed(problem: FitProblem) -> FitProblem:
         part, held_out = problem.record_fits[0], problem is base.held_out
-        return _problem_over(base, part, part.record, (*own, *names), held_out=held_out)
+        return problem_over(base, part, part.record, (*own, *names), held_out=held_out)
 
     problem = freed(base.problem)
     values = start_values(problem, fitted_values(base))
@@ -372,7 +226,7 @@ def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
     return (_EstimatedModel if change.in_model else _ChangedModel)(base, change)
 
 
-def _problem_over(
+def problem_over(
     base: TrialFit, part: RecordFit, record: Record, names: Sequence[str], *, held_out: bool = False
 ) -> FitProblem:
     """The base's problem over another record.
@@ -424,12 +278,12 @@ def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -
 
     def of_share(chosen: Sequence[int]) -> list[tuple[float, float]]:
         own, starts = [models[k] for k in chosen], [vectors[k] for k in chosen]
-        found = []
+        gains = []
         for model, at, here in zip(own, starts, _evaluate_together(own, starts), strict=True):
             reached = here.log_likelihood
             step = gain_of_step(model.parameters, at, here)
-            found.append((reached + step, reached) if np.isfinite(reached) else (-np.inf, -np.inf))
-        return found
+            gains.append((reached + step, reached) if np.isfinite(reached) else (-np.inf, -np.inf))
+        return gains
 
     return in_shares(of_share, len(models))
 
@@ -444,8 +298,13 @@ def predicted_change_gains(base: TrialFit, changes: Sequence[RecordChange]) -> l
     return [(gain, model.split(vector)[1]) for gain, model, vector in _best_starts(base, changes)]
 
 
-def _best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[float, _ChangedModel, FloatArray]]:
-    """Predicted gain, model and vector to start from of each change."""
+def _best_starts(
+    base: TrialFit, changes: Sequence[RecordChange], *, gross_excess: float = 10.0
+) -> list[tuple[float, _ChangedModel, FloatArray]]:
+    """Predicted gain, model and vector to start from of each change.
+
+    gross_excess : excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
+    """
     starts = [(k, v) for k, c in enumerate(changes) for v in dict.fromkeys((c.neutral, *c.starts))]
     # one march as declared for all changes with the same free parameters
     freed = {free: _with_free(base, free) for free in {c.free for c in changes}}
@@ -454,7 +313,7 @@ def _best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[
     predicted = _predicted(models, vectors)
     # A swap distorts the estimates: where the declared values are likelier with the change, it starts from these.
     gross = [
-        i for i, m in enumerate(models) if base.excess_chi2 > GROSS_EXCESS and m.change.kind == "sensor" and not m.exact
+        i for i, m in enumerate(models) if base.excess_chi2 > gross_excess and m.change.kind == "sensor" and not m.exact
     ]
     others = [models[i].start(starts[i][1], declared=True) for i in gross]
     for i, vector, own in zip(gross, others, _predicted([models[i] for i in gross], others), strict=True):
@@ -472,10 +331,10 @@ def fit_changes(
     changes: Sequence[RecordChange],
     best_gain: float = 0.0,
     *,
-    share: float = MIN_GAIN_SHARE,
-    near_share: float = MIN_GAIN_SHARE,
+    share: float = POLICY.min_promised,
+    near_share: float = POLICY.min_promised,
     most: int | None = None,
-) -> list[ChangeFit]:
+) -> list[TrialFit]:
     """Fit a model to its record with each change that promises enough, all side by side.
 
     base      : the model, fitted to the record as declared
@@ -490,7 +349,7 @@ def fit_changes(
 
     def asked(change: RecordChange) -> float:
         if change.parameter is None:
-            return min(share, WITHOUT_VALUE_SHARE)
+            return min(share, POLICY.min_of_best)
         return share if change.near is None else near_share
 
     predicted = _best_starts(base, changes)
@@ -498,15 +357,18 @@ def fit_changes(
     best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
     for change, (gain, model, start) in zip(changes, predicted, strict=True):
         # what an effect names competes with it under that name: a step ahead promises too little of a shift in time
-        form, least = change.form or change.what, min(asked(change), EFFECT_SHARE if change.effect else 1.0) * largest
-        if gain > max(least, 0.5 * np.log(n) * change.unknowns - GAIN_MARGIN) and (
+        form, least = (
+            change.form or change.what,
+            min(asked(change), POLICY.min_of_best if change.effect else 1.0) * largest,
+        )
+        if gain > max(least, 0.5 * np.log(n) * change.unknowns - POLICY.gain_margin) and (
             form not in best or gain > best[form][0]
         ):
             best[form] = gain, model, start
     leading = sorted((gain for gain, model, _ in best.values() if model.change.near is None), reverse=True)[:most]
     best = {form: b for form, b in best.items() if b[1].change.near is not None or b[0] in leading}
     models = [model for _, model, _ in best.values()]
-    fits = _maximise(models, [start for _, _, start in best.values()], FIRST_STEPS)
+    fits = _maximise(models, [start for _, _, start in best.values()], replace(QUICK, iterations=5))
     gains = gains_over(fits, base.fit.log_likelihood)
     reached = max([best_gain, *gains])
     # Predictions are linear and promise too much: after some steps those that stay far behind are not fitted on.
@@ -521,54 +383,54 @@ def fit_changes(
     _move_ends(models, fits, [k for k in with_ends if gains[k] > near_share * reached])
     gains = gains_over(fits, base.fit.log_likelihood)
     largest = max([share * best_gain, *gains])
-    _move_ends(models, fits, [k for k in with_ends if gains[k] > NEARLY * largest], MOST_SEARCHES)
-    found = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
-    return sorted((f for f in found if f is not None), key=lambda f: f.delta_bic)
+    _move_ends(models, fits, [k for k in with_ends if gains[k] > NEARLY * largest], EFFORT.rivals)
+    trials = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
+    return sorted((f for f in trials if f is not None), key=lambda f: f.delta_bic)
 
 
-def with_own_corrections(before: FitResult, base: TrialFit, fits: Sequence[ChangeFit]) -> list[ChangeFit]:
+def with_own_corrections(
+    before: FitResult, base: TrialFit, fits: Sequence[TrialFit], *, min_excess: float = 1.0
+) -> list[TrialFit]:
     """Fits of changes, the leading ones with the mesh correction of their own record.
 
     before  : the declared model fitted to the whole record;  base : the same for the search, which `fits` started from
     returns : the lowest BIC first; as given where the declared model is near the record
 
     The correction at the declared model is of another wall, or at estimates that a wrong sensor distorts.
+
+    min_excess : excess chi-square of the declared model from which on the leading changes have the mesh correction of
+        their own record; those with a parameter where they gain nearly as much as the best
     """
-    if base.excess_chi2 < RECORRECTED_FROM:
+    if base.excess_chi2 < min_excess:
         return list(fits)
     best = min((f.delta_bic for f in fits), default=0.0)
-    leading = [f for f in fits[:RECORRECTED] if f.delta_bic < NEARLY * best or f.change.parameter is None]
-    found = [f if f not in leading else _recorrected(before, base, f) for f in fits]
-    return sorted(found, key=lambda f: f.delta_bic)
+    leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < NEARLY * best or not f.estimates]
+    trials = [f if f not in leading else _recorrected(before, base, f) for f in fits]
+    return sorted(trials, key=lambda f: f.delta_bic)
 
 
-def _recorrected(before: FitResult, base: TrialFit, fit: ChangeFit) -> ChangeFit:
+def _recorrected(before: FitResult, base: TrialFit, trial: TrialFit) -> TrialFit:
     """The fit of a change with the mesh correction of the changed record, fitted on from there.
 
     The fit as it is where the whole record cannot be marched there.
     """
-    trial, part = fit.trial, fit.trial.problem.record_fits[0]
-    names = [n for n in part.names if n not in fit.estimates]
+    change, fit, part = trial.change, trial.whole_fit, trial.problem.record_fits[0]
+    assert change is not None
+    assert fit is not None
+    names = [n for n in part.names if n not in trial.estimates]
     try:
-        record = fit.change.apply(before.problem.record_fits[0].record, fit.value)
-        thin = part.record if not fit.change.in_model else fit.change.apply(part.record, fit.value)
-        error_K, at_s = own_thinning_error(trial, record, thin, names)
+        record = change.apply(before.problem.record_fits[0].record, trial.value)
+        thin = part.record if not change.in_model else change.apply(part.record, trial.value)
+        correction = own_thinning_error(trial, record, thin, names)
     except CANNOT_BE:
-        return fit
-    if fit.change.parameter is not None:
-
-        def own_correction(problem: FitProblem) -> FitProblem:
-            return problem.with_correction(error_K[:, np.isin(at_s, problem.record_fits[0].sample_s)])
-
-        held_out = base.held_out and own_correction(base.held_out)
-        model = _model(replace(base, problem=own_correction(base.problem), held_out=held_out), fit.change)
-        return _change_fit(model, _maximise([model], [fit.fit.values])[0]) or fit
-    for problem in (trial.problem, *([trial.held_out] if trial.held_out else [])):
-        own = problem.record_fits[0]
-        own.correction_K = error_K[:, np.isin(at_s, own.sample_s)]
+        return trial
+    if change.parameter is not None:
+        model = _model(corrected(base, correction), change)
+        return _change_fit(model, _maximise([model], [fit.values])[0]) or trial
+    trial = corrected(trial, correction)
     again = maximise_together([trial.problem], [trial.fit.values], QUICK)[0]
-    delta = fit.delta_bic - 2.0 * (again.log_likelihood - fit.fit.log_likelihood)
-    return replace(fit, trial=replace(trial, fit=again, delta_bic=delta), fit=again, delta_bic=delta)
+    delta = trial.delta_bic - 2.0 * (again.log_likelihood - trial.fit.log_likelihood)
+    return replace(trial, fit=again, whole_fit=again, delta_bic=delta)
 
 
 def _move_ends(models: list[_ChangedModel], fits: list[Fit], chosen: Sequence[int], searches: int = 1) -> None:
@@ -601,16 +463,18 @@ def _best_ends(model: _ChangedModel, fit: Fit, searches: int) -> tuple[list[_Mov
 
     A pattern search at the values of the fit, a fit at the ends found, and again from there while that gains.
     """
-    steps, moves = [ENDS_MOVED] * searches + [ENDS_MOVED_FINELY] * (searches > 1), list[_Move]()
+    # further on, where the change leads: some seconds of a large error are far above the noise
+    finely = (0.06, 0.03, 0.015, 0.007, 0.06, 0.03, 0.015, 0.007)
+    steps, moves = [ENDS_MOVED] * searches + [finely] * (searches > 1), list[_Move]()
     while steps:
         moved, further = _pattern_search(model, fit, steps.pop(0))
         gained = 0.0
         if further:
-            found = _maximise([moved], [fit.values])[0]
-            gained = found.log_likelihood - fit.log_likelihood
+            refitted = _maximise([moved], [fit.values])[0]
+            gained = refitted.log_likelihood - fit.log_likelihood
             if gained > 0.0:
-                model, fit, moves = moved, found, [*moves, *further]
-        if not gained > GAIN_MARGIN:
+                model, fit, moves = moved, refitted, [*moves, *further]
+        if not gained > POLICY.gain_margin:
             steps = [s for s in steps if s is not ENDS_MOVED]
     return moves, fit
 
@@ -651,9 +515,9 @@ def _maximise(
     return in_turn(of_some, len(models))
 
 
-def _change_fit(model: _ChangedModel, fit: Fit) -> ChangeFit | None:
-    """The result of a fit, with the model on the changed record as a trial of its own; None where the samples held out
-    cannot be predicted, as where a change leaves none of them: it could not be compared."""
+def _change_fit(model: _ChangedModel, fit: Fit) -> TrialFit | None:
+    """The trial of a fit, with the model on the changed record; None where the samples held out cannot be predicted, as
+    where a change leaves none of them: it could not be compared."""
     change, base, value = model.change, model.base, model.split(fit.values)[1]
     gained = fit.log_likelihood - base.fit.log_likelihood
     delta = float(-2.0 * gained + change.unknowns * np.log(sample_count(base.problem)))
@@ -662,4 +526,4 @@ def _change_fit(model: _ChangedModel, fit: Fit) -> ChangeFit | None:
         trial = model.trial(fit)
     except CANNOT_BE:
         return None
-    return ChangeFit(change, value, sigma, replace(trial, delta_bic=delta), fit, delta)
+    return replace(trial, delta_bic=delta, change=change, value=value, sigma=sigma, whole_fit=fit)

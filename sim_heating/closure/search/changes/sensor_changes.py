@@ -27,7 +27,7 @@ from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import SENSOR, Parameter
 from sim_heating.closure.clues.residual_heating import ResidualHeating, SensorResidual, residual_heating
-from sim_heating.closure.search.changes.record_change import RecordChange
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
 from sim_heating.estimation.filter.heating_input import MAX_COARSE_KNOTS, interpolation_weights
 from sim_heating.estimation.inference.likelihood import reading_intervals, scores
@@ -39,45 +39,17 @@ from sim_heating.inputs.sensor_model import indicated_temperature
 from sim_heating.thermal.mesh import layer_diffusivities
 from sim_heating.thermal.stack import Sensor
 
-CELSIUS_0_K, KELVIN_PER_FAHRENHEIT, FAHRENHEIT_0 = 273.15, 5.0 / 9.0, 459.67
 UNITS: Mapping[str, tuple[float, float]] = {
-    "in degC, read as K": (-CELSIUS_0_K, 1.0),
-    "in degF, read as K": (-FAHRENHEIT_0, 1.0 / KELVIN_PER_FAHRENHEIT),
-    "in K, read as degC": (CELSIUS_0_K, 1.0),
-    "in K, read as degF": (FAHRENHEIT_0 * KELVIN_PER_FAHRENHEIT, KELVIN_PER_FAHRENHEIT),
+    "in degC, read as K": (-273.15, 1.0),
+    "in degF, read as K": (-459.67, 1.0 / (5.0 / 9.0)),
+    "in K, read as degC": (273.15, 1.0),
+    "in K, read as degF": (459.67 * (5.0 / 9.0), 5.0 / 9.0),
 }
 """Recorded over true temperature, c0 [K] and c1 [-], of a column in another unit or converted from one by mistake."""
-MIN_UNIT_ERROR_K, UNIT_SHARE = 20.0, 0.25
-"""Least distance of the first reading from the declared start that another unit is tried for [K], and the part of it
-that may remain with the other unit [-]."""
-MISFIT = 2.0
-"""RMS of the normalised residuals of a sensor from which on it may be swapped, misplaced or broken."""
-MIN_CONSTANT = 30
-"""Readings that are equal one after the other from which on a sensor may be stuck or clipped."""
-DEPTH_SIGMA_M, FARTHEST_M = 5e-4, 0.01
-"""Usual error of the depth of a thermocouple, and the largest that is tried [m]."""
-MAX_DRIFT = 10.0
-"""Largest drift that is tried, over the usual one [-]."""
-MAX_OMITTED, MAX_BROKEN = 3, 2
-"""Sensors that may be broken, those that contradict a common heating most; and how many of them together, where none
-alone is."""
-CONTRADICTION_FLOORS = 2.5
-"""Noise floors beyond which the residual of a sensor contradicts the heating that explains the others."""
-ALIKE = 0.5
-"""Correlation from which on two sensors deviate in the same way."""
-COARSE = 0.25
-"""Part of the mean square of a deviation that may be faster than the history of a heating."""
 AT_NOISE = 1.6
 """Residual over the noise below which a sensor is at its noise."""
-ROUGH_SAMPLES, ROUGHER = 8, 3.0
-"""Samples that half the time of diffusion has to hold; and how much rougher than the prediction readings may be."""
-LEVEL_FLOORS = 6.0
-"""Noise floors that readings on one level are within."""
-MIN_CLIPPED, CLIPPED_FLOORS, MOST_OUTLIERS, EVEN = 15, 3.0, 2, 5.0
-"""Least length of a run that readings are clipped in; noise floors within which they are at the level; readings one
-after the other that may be outside; and standard deviations by which the means of its thirds may differ."""
-FINE_WORD = 0.05
-"""Word of a clipped thermocouple whose recorder has none, over its noise."""
+ROUGH_SAMPLES = 8
+"""Samples that half the time of diffusion has to hold."""
 OTHERS_MOVE = 3.0
 """Steps of its recorder that another sensor moves by while one is stuck, and the model where one is clipped."""
 
@@ -90,19 +62,21 @@ class _Channel:
     rms: float
 
 
-def sensor_changes(base: TrialFit) -> list[RecordChange]:
+def sensor_changes(base: TrialFit, *, misfit_floors: float = 2.0) -> list[RecordChange]:
     """The changes of the sensors of a record that the model fitted to it does not rule out.
 
     base : the model, fitted to the record as declared
 
     Units, and readings that are equal for long, are seen in the readings themselves: a sensor with these is not
     examined further.
+
+    misfit_floors : RMS of the normalised residuals of a sensor from which on it may be swapped, misplaced or broken
     """
     channels = [_Channel(s.channel.sensor, _rms(s)) for s in base.problem.samples(base.fit.values)]
     units, constant = unit_changes(base), constant_readings(base)
     seen = {name for names in units for name in names} | {name for _, name in constant}
     others = [c for c in channels if c.sensor.name not in seen]
-    misfits = [c.sensor for c in others if c.rms > MISFIT]
+    misfits = [c.sensor for c in others if c.rms > misfit_floors]
     record = base.problem.record_fits[0].record
     return [
         *(change for changes in units.values() for change in changes),
@@ -170,8 +144,19 @@ def unit_changes(base: TrialFit) -> dict[frozenset[str], list[RecordChange]]:
     return found
 
 
-def _starts_nearer(record: Record, sensor: Sensor, line: tuple[float, float]) -> bool:
-    """Whether the first reading of a sensor is much nearer to the declared start in another unit."""
+def _starts_nearer(
+    record: Record,
+    sensor: Sensor,
+    line: tuple[float, float],
+    *,
+    min_unit_error_K: float = 20.0,
+    unit_share: float = 0.25,
+) -> bool:
+    """Whether the first reading of a sensor is much nearer to the declared start in another unit.
+
+    min_unit_error_K, unit_share : least distance of the first reading from the declared start that another unit is
+        tried for [K], and the part of it that may remain with the other unit [-]
+    """
     stack, read = record.declared.stack, record.thermocouples[sensor.column]
     first = read[np.isfinite(read)][:1]
     if len(first) == 0:
@@ -183,7 +168,7 @@ def _starts_nearer(record: Record, sensor: Sensor, line: tuple[float, float]) ->
     expected = float(np.polynomial.Polynomial(declared)(start_K or 0.0))
     error_K = abs(float(first[0]) - expected)
     remaining_K = abs((float(first[0]) - line[0]) / line[1] - expected)
-    return error_K > MIN_UNIT_ERROR_K and remaining_K < UNIT_SHARE * error_K
+    return error_K > min_unit_error_K and remaining_K < unit_share * error_K
 
 
 def unit(base: TrialFit, sensors: Sequence[Sensor], names: str, text: str, line: tuple[float, float]) -> RecordChange:
@@ -207,8 +192,11 @@ def unit(base: TrialFit, sensors: Sequence[Sensor], names: str, text: str, line:
     return RecordChange("sensor", what, None, apply, lambda _: what, known_log_likelihood=known)
 
 
-def drift(record: Record, sensor: Sensor) -> RecordChange:
-    """A bias that grows from the first sample on, at a rate in K/s."""
+def drift(record: Record, sensor: Sensor, *, max_drift: float = 10.0) -> RecordChange:
+    """A bias that grows from the first sample on, at a rate in K/s.
+
+    max_drift : largest drift that is tried, over the usual one [-]
+    """
     span_s = float(np.ptp(record.time_s))
 
     def apply(given: Record, rate_K_s: float) -> Record:
@@ -217,18 +205,21 @@ def drift(record: Record, sensor: Sensor) -> RecordChange:
         return _with_sensors(changed, lambda s: {"bits": None} if s.name == sensor.name else {})
 
     own = replace(SENSOR["drift"], name=sensor_parameter(sensor, "drift"))
-    own = replace(own, lower=-MAX_DRIFT * own.sigma, upper=MAX_DRIFT * own.sigma)
+    own = replace(own, lower=-max_drift * own.sigma, upper=max_drift * own.sigma)
     return RecordChange(
         "sensor", f"drift of {sensor.name}", own, apply,
         lambda rate: f"{sensor.name} drifts by {rate * span_s:+.2g} K in {span_s:.0f} s", in_model=True,
     )  # fmt: skip
 
 
-def depth(record: Record, sensor: Sensor) -> RecordChange:
-    """A thermocouple that is deeper than declared, or less deep, in m."""
+def depth(record: Record, sensor: Sensor, *, depth_sigma_m: float = 5e-4, farthest_m: float = 0.01) -> RecordChange:
+    """A thermocouple that is deeper than declared, or less deep, in m.
+
+    depth_sigma_m, farthest_m : usual error of the depth of a thermocouple, and the largest that is tried [m]
+    """
     behind_m = record.declared.stack.thickness_m - sensor.depth_m
     own = Parameter(
-        "depth_error_m", "m", 0.0, DEPTH_SIGMA_M, -min(sensor.depth_m, FARTHEST_M), min(behind_m, FARTHEST_M),
+        "depth_error_m", "m", 0.0, depth_sigma_m, -min(sensor.depth_m, farthest_m), min(behind_m, farthest_m),
         "true depth less the declared one",
     )  # fmt: skip
 
@@ -249,12 +240,14 @@ def _depth_starts(own: Parameter) -> tuple[float, ...]:
 # Readings that are worthless ------------------------------------------------------------------------------------------
 
 
-def constant_readings(base: TrialFit) -> list[tuple[RecordChange, str]]:
+def constant_readings(base: TrialFit, *, min_constant: int = 30) -> list[tuple[RecordChange, str]]:
     """Sensors whose readings do not change for long while the declared model and another sensor do.
 
     returns : changes, and the names of the sensors whose fault is certain, else empty. A sensor may be clipped at a
               range that is not declared where these are its largest or its least readings, which is certain where they
               are equal for long; else it is stuck where they are that
+
+    min_constant : readings that are equal one after the other from which on a sensor may be stuck or clipped
     """
     record, found = base.problem.record_fits[0].record, list[tuple[RecordChange, str]]()
     # The fitted model may follow readings that do not change.
@@ -265,7 +258,7 @@ def constant_readings(base: TrialFit) -> list[tuple[RecordChange, str]]:
     for s in declared:
         sensor, t, read = s.channel.sensor, record.time_s, record.thermocouples[s.channel.sensor.column]
         run, step_K = _longest_constant(read), max(sensor.lsb_K, s.sigma_K)
-        stuck = len(run) >= MIN_CONSTANT and _is_still(declared, s, read, t[run], STUCK * step_K)
+        stuck = len(run) >= min_constant and _is_still(declared, s, read, t[run], STUCK * step_K)
         recovers = run[-1] < np.flatnonzero(np.isfinite(read))[-1]
         clipped = clipped_readings(read, s.sigma_K, sensor.lsb_K)
         if (
@@ -324,7 +317,15 @@ class ClippedReadings(NamedTuple):
     longest: IntArray
 
 
-def clipped_readings(read: FloatArray, sigma_K: float, lsb_K: float) -> ClippedReadings | None:
+def clipped_readings(
+    read: FloatArray,
+    sigma_K: float,
+    lsb_K: float,
+    *,
+    level_floors: float = 6.0,
+    min_length: int = 15,
+    even_sigmas: float = 5.0,
+) -> ClippedReadings | None:
     """The largest readings, or else the least, where they may be clipped before the noise; None where they may not.
 
     read : (reading,) readings [K], NaN where lost;  sigma_K, lsb_K : noise and word [K]
@@ -332,23 +333,27 @@ def clipped_readings(read: FloatArray, sigma_K: float, lsb_K: float) -> ClippedR
     They are constant but for noise and rounding, in one run or in several, such as before and after a manoeuvre. The
     least ones have to be reached: before a flight a wall is at rest. A broad maximum may look the same: whether the
     model without these readings explains the others, and is beyond them here, is for the fit to say.
+
+    level_floors : noise floors that readings on one level are within
+    min_length : least length of a run that readings are clipped in
+    even_sigmas : standard deviations by which the means of thirds of a run may differ
     """
     known = np.flatnonzero(np.isfinite(read))
-    if len(known) < MIN_CLIPPED:
+    if len(known) < min_length:
         return None
     floor_K = math.hypot(sigma_K, lsb_K / math.sqrt(12.0))
     for sign in (1.0, -1.0):
         y = sign * read[known]
-        level = float(np.median(y[y >= np.max(y) - LEVEL_FLOORS * floor_K]))
+        level = float(np.median(y[y >= np.max(y) - level_floors * floor_K]))
         runs = _runs_at(y, level, floor_K)
         longest = max(runs, key=len)
         n = len(longest)
-        if n < MIN_CLIPPED or (sign < 0.0 and longest[0] == 0):
+        if n < min_length or (sign < 0.0 and longest[0] == 0):
             continue
         # a level between two words is read as either
         scatter_K, largest_K = float(np.std(y[longest])), math.hypot(sigma_K, 0.5 * lsb_K)
         means = [float(np.mean(y[part])) for part in np.array_split(longest, 3)]
-        if scatter_K < largest_K * (1.0 + 3.0 / math.sqrt(2.0 * n)) and np.ptp(means) <= EVEN * scatter_K * (
+        if scatter_K < largest_K * (1.0 + 3.0 / math.sqrt(2.0 * n)) and np.ptp(means) <= even_sigmas * scatter_K * (
             math.sqrt(6.0 / n)
         ):
             which = np.zeros(len(read), dtype=bool)
@@ -359,26 +364,36 @@ def clipped_readings(read: FloatArray, sigma_K: float, lsb_K: float) -> ClippedR
     return None
 
 
-def _runs_at(y: FloatArray, level: float, floor_K: float) -> list[IntArray]:
+def _runs_at(
+    y: FloatArray, level: float, floor_K: float, *, clipped_floors: float = 3.0, most_outliers: int = 2
+) -> list[IntArray]:
     """Runs of readings at a level, from the first to the last that is not below it by its noise; a few outliers do not
-    end one."""
-    at = np.flatnonzero(y >= level - CLIPPED_FLOORS * floor_K)
+    end one.
+
+    clipped_floors : noise floors within which clipped readings are at the level
+    most_outliers : readings one after the other that may be outside
+    """
+    at = np.flatnonzero(y >= level - clipped_floors * floor_K)
     found = []
-    for part in np.split(at, np.flatnonzero(np.diff(at) > MOST_OUTLIERS + 1) + 1):
+    for part in np.split(at, np.flatnonzero(np.diff(at) > most_outliers + 1) + 1):
         high = part[y[part] >= level - floor_K]
         if len(high) > 1:
             found.append(np.arange(high[0], high[-1] + 1))
     return found or [at]
 
 
-def _clip(base: TrialFit, s: PredictedSamples, read: FloatArray, found: ClippedReadings) -> RecordChange:
+def _clip(
+    base: TrialFit, s: PredictedSamples, read: FloatArray, found: ClippedReadings, *, fine_word: float = 0.05
+) -> RecordChange:
     """Readings at an end of the range that is not declared: the true ones are there or beyond.
 
     Their noise is about the likeliest level. What the model has to say of them is that it is not short of it:
     the end of the recorder's range becomes the word of that level (reading_intervals).
+
+    fine_word : word of a clipped thermocouple whose recorder has none, over its noise
     """
     sensor, own = s.channel.sensor, found.which
-    lsb_K, bits = sensor.lsb_K or FINE_WORD * s.sigma_K, sensor.bits or 32
+    lsb_K, bits = sensor.lsb_K or fine_word * s.sigma_K, sensor.bits or 32
     words = reading_intervals(sensor, read[own])
     middle_K = float(np.median(read[own]))
     levels = middle_K + lsb_K * np.linspace(-1.0, 1.0, 41)
@@ -409,18 +424,24 @@ def _count(problem: FitProblem | None, sensor: Sensor, lost: BoolArray) -> int:
     return sum(int(np.count_nonzero(~np.isin(part.sample_s[c.samples], at))) for c in own)
 
 
-def broken_sensors(base: TrialFit) -> list[RecordChange]:
+def broken_sensors(
+    base: TrialFit, *, max_omitted: int = 3, max_broken: int = 2, contradiction_floors: float = 2.5
+) -> list[RecordChange]:
     """Readings that carry no information: of each sensor whose readings show it, else of two.
 
     None where some heating explains all sensors: that is a missing effect and no broken sensor.
+    max_omitted, max_broken : sensors that may be broken, those that contradict a common heating most; and how many of
+        them together, where none alone is
+    contradiction_floors : noise floors beyond which the residual of a sensor contradicts the heating that explains the
+        others
     """
     residual = _heating_without(base, [])
     if residual is None:
         return []
-    suspects = sorted(residual.sensors, key=lambda s: -s.after_rmse_K / s.floor_K)[:MAX_OMITTED]
-    if suspects[0].after_rmse_K < CONTRADICTION_FLOORS * suspects[0].floor_K:
+    suspects = sorted(residual.sensors, key=lambda s: -s.after_rmse_K / s.floor_K)[:max_omitted]
+    if suspects[0].after_rmse_K < contradiction_floors * suspects[0].floor_K:
         return []
-    for count in range(1, min(MAX_BROKEN, len(residual.sensors) - 1) + 1):
+    for count in range(1, min(max_broken, len(residual.sensors) - 1) + 1):
         found = [_broken(base, c) for c in combinations(suspects, count)]
         if any(found):
             return [change for change in found if change is not None]
@@ -463,39 +484,48 @@ def _heating_without(base: TrialFit, names: Collection[str]) -> ResidualHeating 
         return None
 
 
-def _deviate_alike(others: ResidualHeating, suspects: Sequence[SensorResidual]) -> bool:
-    """Whether two sensors deviate in the same way: a wrong wall, and not two faults."""
+def _deviate_alike(
+    others: ResidualHeating, suspects: Sequence[SensorResidual], *, min_correlation: float = 0.5
+) -> bool:
+    """Whether two sensors deviate in the same way: a wrong wall, and not two faults.
+
+    min_correlation : correlation from which on two sensors deviate in the same way
+    """
     if len(suspects) < 2:
         return False
     a, b = suspects
     of_a, of_b = deviation_from(others, a), np.interp(a.time_s, b.time_s, deviation_from(others, b))
-    return bool(abs(np.corrcoef(of_a, of_b)[0, 1]) > ALIKE)
+    return bool(abs(np.corrcoef(of_a, of_b)[0, 1]) > min_correlation)
 
 
-def is_resolved(others: ResidualHeating, suspect: SensorResidual) -> bool:
+def is_resolved(others: ResidualHeating, suspect: SensorResidual, *, max_fast_share: float = 0.25) -> bool:
     """Whether a sensor deviates from the heating that others show by changes no faster than a heating may have.
 
-    The deviation is nearly all in lines between times as far apart as those of the coarse history, COARSE of it.
+    The deviation is nearly all in lines between times as far apart as those of the coarse history.
+
+    max_fast_share : part of the mean square of a deviation that may be faster than the history of a heating
     """
     deviation_K = deviation_from(others, suspect)
     at_s = np.linspace(suspect.time_s[0], suspect.time_s[-1], MAX_COARSE_KNOTS)
     weights = interpolation_weights(suspect.time_s, at_s)
     faster_K = deviation_K - weights @ np.linalg.lstsq(weights, deviation_K, rcond=None)[0]
-    return bool(np.sum(faster_K**2) < COARSE * np.sum(deviation_K**2))
+    return bool(np.sum(faster_K**2) < max_fast_share * np.sum(deviation_K**2))
 
 
-def is_too_rough(others: ResidualHeating, suspect: SensorResidual) -> bool:
+def is_too_rough(others: ResidualHeating, suspect: SensorResidual, *, rougher: float = 3.0) -> bool:
     """Whether readings change faster than heat reaches the depth of their thermocouple.
 
     In half the time that heat takes, a temperature at that depth is nearly a parabola in time. Compared with the
     prediction, since the heating, or a layer that conducts better than declared, may bend it a little.
+
+    rougher : how much rougher than the prediction readings may be
     """
     record, t = others.record, suspect.time_s
     span_s = 0.5 * _diffusion_time_s(record, suspect.sensor.depth_m)
     if span_s < ROUGH_SAMPLES * float(np.median(np.diff(t))):
         return False
     predicted_K = suspect.read_K - deviation_from(others, suspect)
-    allowed_K = max(AT_NOISE * suspect.floor_K, ROUGHER * _roughness_K(t, predicted_K, span_s))
+    allowed_K = max(AT_NOISE * suspect.floor_K, rougher * _roughness_K(t, predicted_K, span_s))
     return _roughness_K(t, suspect.read_K, span_s) > allowed_K
 
 

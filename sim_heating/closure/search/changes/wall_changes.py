@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from sim_heating.base.parameters import LAYER, MODEL, STACK_PREFIX, Parameter
-from sim_heating.closure.search.changes.record_change import RecordChange
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record
@@ -30,9 +30,6 @@ QUANTITIES = {
     HEAT_CAPACITY: ("heat capacity (density times specific heat)", "above", "below"),
 }
 INSULATION, METAL, OTHER = "insulation", "metal", "other"
-INSULATES_W_MK, CONDUCTS_W_MK = 0.3, 5.0
-"""Conductivity below which a material is an insulation, and above which a metal or carbon, in the middle of its table
-[W/(m K)]."""
 
 
 CONTACT = Parameter("contact_m2K_W", "m2 K/W", 0.0, 0.02, 0.0, 10.0, "contact resistance at the inner face of a layer")
@@ -215,10 +212,14 @@ def _material_change(layer: str, name: str, material: Material) -> RecordChange:
     return RecordChange("wall", text, None, apply, lambda _: text, form=f"another material of layer {layer}")
 
 
-def material_class(material: Material) -> str:
-    """Insulation, metal, or other, such as a coating or an adhesive, by its conductivity."""
+def material_class(material: Material, *, insulates_W_mK: float = 0.3, conducts_W_mK: float = 5.0) -> str:
+    """Insulation, metal, or other, such as a coating or an adhesive, by its conductivity.
+
+    insulates_W_mK, conducts_W_mK : conductivity below which a material is an insulation, and above which a metal or
+        carbon, in the middle of its table [W/(m K)]
+    """
     k = _middle_conductivity(material)
-    return INSULATION if k < INSULATES_W_MK else METAL if k > CONDUCTS_W_MK else OTHER
+    return INSULATION if k < insulates_W_mK else METAL if k > conducts_W_mK else OTHER
 
 
 def _middle_conductivity(material: Material) -> float:

@@ -26,13 +26,8 @@ SENSOR_EFFECT, LAG_EFFECT = "sensor-bias", "sensor-lag"
 """Names in a closure report of a wrong bias or gain of a thermocouple, and of a lag of one or of all of them."""
 BIASES, LAGS = (("bias",), ("gain",), ("bias", "gain")), (("tau_s",),)
 """Parameters of a sensor that are estimated together."""
-LAG_STARTS_S, LAG_SIGMA_S = (5.0, 20.0), 5.0
-"""Time constants that a lag is searched from besides the declared one [s], and the prior that keeps a step within
-reason: a badly attached junction may lag by tens of seconds, and what a lag changes is far from linear in it."""
 ONSET_NAME = "log10_re_onset"
 """Parameter that the search for a declared transition is started from several values of."""
-CONSTANT = 1e-3
-"""Standard deviation below which a flight condition other than the ratio variables counts as constant, in its unit."""
 
 
 class Form(NamedTuple):
@@ -86,6 +81,10 @@ class Candidate:
         return Form(frozenset(self.names), frozenset((n, v) for n, v in values.items() if n not in self.names))
 
 
+NO_EFFECT = Candidate("none", (), (), {}, (), ())
+"""Of the model itself, to which nothing is added."""
+
+
 def candidates(
     record: Record, flown: Conditions, taken: Sequence[str] = (), *, last_resort: bool = False
 ) -> list[Candidate]:
@@ -102,7 +101,7 @@ def candidates(
     # The ratio of a point has one lag: a second effect that lags cannot be added.
     lag_taken = any(effects()[name].lags for name in taken if name in effects())
     declared = {used.effect.name for used in record.declared.heating.effects}
-    found = _declared_candidates(record, flown, taken)
+    tried = _declared_candidates(record, flown, taken)
     for name, effect in effects().items():
         # a declared transition may have another criterion than that of nature: the library's own takes its place
         if (
@@ -111,11 +110,11 @@ def candidates(
             and not (effect.lags and lag_taken)
             and all(_varies(v, flown) for v in effect.needs)
         ):
-            found += _effect_candidates(effect, record, flown)
+            tried += _effect_candidates(effect, record, flown)
     for name, forms in ((SENSOR_EFFECT, BIASES), (LAG_EFFECT, LAGS)):
         if name not in taken:
-            found += _sensor_candidates(record, name, forms)
-    return found
+            tried += _sensor_candidates(record, name, forms)
+    return tried
 
 
 def _with_criteria(record: Record, flown: Conditions) -> Conditions:
@@ -133,7 +132,7 @@ def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]
 
     Their priors are the declared ones: a declared effect is found where it differs from its declaration.
     """
-    found = []
+    tried = []
     for used in record.declared.heating.effects:
         effect, prefix = used.effect, f"{EFFECT_PREFIX}{used.effect.name}."
         starts = effect.starts_for(with_criterion(used, flown))
@@ -149,10 +148,10 @@ def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]
             values = declared | changed
             names = tuple(f"{prefix}{name}" for name in free)
             start = {f"{prefix}{name}": values[name] for name in free}
-            found.append(
+            tried.append(
                 Candidate(effect.name, (replace(used, values=tuple(values.values())),), names, start, names, names)
             )
-    return found
+    return tried
 
 
 def with_criterion(used: EffectUse, flown: Conditions) -> Conditions:
@@ -164,9 +163,13 @@ def with_criterion(used: EffectUse, flown: Conditions) -> Conditions:
     return flown.with_columns(log10_re=flown["log10_re_theta_m"]) if by_re_theta else flown
 
 
-def _varies(variable: str, flown: Conditions) -> bool:
-    """Whether a column of the conditions exists and varies over the fitted samples."""
-    return variable in flown and bool(np.std(flown[variable]) > CONSTANT_BELOW.get(variable, CONSTANT))
+def _varies(variable: str, flown: Conditions, *, constant: float = 1e-3) -> bool:
+    """Whether a column of the conditions exists and varies over the fitted samples.
+
+    constant : standard deviation below which a flight condition other than the ratio variables counts as constant, in
+        its unit
+    """
+    return variable in flown and bool(np.std(flown[variable]) > CONSTANT_BELOW.get(variable, constant))
 
 
 def _effect_candidates(effect: Effect, record: Record, flown: Conditions) -> list[Candidate]:
@@ -221,20 +224,27 @@ def _within(value: float, limits: tuple[float, float]) -> float:
 def _sensor_candidates(record: Record, effect: str, forms: Sequence[tuple[str, ...]]) -> list[Candidate]:
     """Errors of each used sensor by itself; none for a single one, whose bias resembles heating, and whose lag is that
     of all."""
-    found = []
+    tried = []
     for sensor in record.used_sensors if len(record.used_sensors) > 1 else []:
         for errors in forms:
             names = tuple(sensor_parameter(sensor, error) for error in errors)
             if forms is LAGS:
-                found += _lag_candidates(replace(SENSOR["tau_s"], name=names[0], value=sensor.tau_s))
+                tried += _lag_candidates(replace(SENSOR["tau_s"], name=names[0], value=sensor.tau_s))
                 continue
             start = {n: SENSOR[e].value for n, e in zip(names, errors, strict=True)}
-            found.append(Candidate(effect, (), names, start, active=names, with_prior=names))
-    return found
+            tried.append(Candidate(effect, (), names, start, active=names, with_prior=names))
+    return tried
 
 
-def _lag_candidates(lag: Parameter) -> list[Candidate]:
-    """An unknown lag, from the declared one and from others; lag : its parameter, with the declared value."""
-    names, priors = (lag.name,), {lag.name: replace(lag, sigma=LAG_SIGMA_S)}
-    starts = (lag.value, *(start for start in LAG_STARTS_S if start > lag.value))
+def _lag_candidates(
+    lag: Parameter, *, lag_sigma_s: float = 5.0, lag_starts_s: tuple[float, float] = (5.0, 20.0)
+) -> list[Candidate]:
+    """An unknown lag, from the declared one and from others; lag : its parameter, with the declared value.
+
+    lag_starts_s : time constants that a lag is searched from besides the declared one [s], and the prior that keeps a
+        step within reason: a badly attached junction may lag by tens of seconds, and what a lag changes is far from
+        linear in it
+    """
+    names, priors = (lag.name,), {lag.name: replace(lag, sigma=lag_sigma_s)}
+    starts = (lag.value, *(start for start in lag_starts_s if start > lag.value))
     return [Candidate(LAG_EFFECT, (), names, {lag.name: start}, names, names, priors) for start in starts]

@@ -28,18 +28,12 @@ from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, problem_with, start_values
+from sim_heating.closure.verdict.policy import EFFORT
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.effects.compiled import EffectAlong
 from sim_heating.heating.ratio.uncertainty import basis, declared_ratio
 from sim_heating.march.ensemble import condition_history
 
-MODEL_ERROR = 0.03
-"""Error of a smoothed history where heating jumps, over the heating itself [-]."""
-SOLVED, KEPT = 4, 2
-"""Starts of a form from which the least-squares problem is solved, and solutions that are kept."""
-EVALUATIONS = 60
-STEP = 2.0**-26
-"""Step of a difference against a parameter of an effect, over its sigma or its value [-]: root of the rounding."""
 FITTED = ("ratio.scale", *(f"ratio.d_{name}" for name in ("alpha", "beta", "logre", "elevon", "bodyflap")))
 """Magnitude and first derivatives, which are adjusted to the history."""
 
@@ -68,11 +62,12 @@ class HeatingHistory:
         return EffectAlong(used, self.rows, self.wall_K)
 
 
-def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None:
+def heating_history(base: TrialFit, neutral: Candidate, *, smoothing_error: float = 0.03) -> HeatingHistory | None:
     """The heating history of a record, as a model with one effect at its neutral values sees it.
 
     base    : the declared model;  neutral : a candidate that has no effect at its start
     returns : None where the model cannot be marched, has no tabulated heating, or none that is fitted
+    smoothing_error : error of a smoothed history where heating jumps, over the heating itself [-]
     """
     parameters = tuple(p for p in base.problem.parameters if p.name in FITTED)
     if not parameters:
@@ -82,19 +77,19 @@ def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None
     tabulated_alone = dict.fromkeys([*(p.name for p in parameters), CLOCK_SKEW.name], 0.0)
     at = start_values(problem, {**fitted_values(base), **tabulated_alone, **neutral.start})
     try:
-        found = residual_heating(problem, at)
+        missing = residual_heating(problem, at)
     except (InputError, RunError):
         return None
-    inside = found.fitted
-    t = found.time_s[inside]
+    inside = missing.fitted
+    t = missing.time_s[inside]
     flown = own.conditions.at(t)
     x = np.column_stack([flown[name] for name in RATIO_VARIABLES])
     tabulated = declared_ratio(own.model.ratio, x)
-    y = tabulated + found.delta_ratio[inside]
+    y = tabulated + missing.delta_ratio[inside]
     if len(t) == 0 or not np.all(np.isfinite(y)):
         return None
-    sigma = np.hypot(found.sigma[inside], MODEL_ERROR * np.abs(y))
-    wall = np.interp(t, found.march_s, found.input.temperature_K[:, 0])
+    sigma = np.hypot(missing.sigma[inside], smoothing_error * np.abs(y))
+    wall = np.interp(t, missing.march_s, missing.input.temperature_K[:, 0])
     columns = basis([p.name for p in parameters], x, np.array(base.problem.reference), tabulated)
     return HeatingHistory(y, sigma, tabulated, columns, condition_history(flown), wall, parameters)
 
@@ -119,9 +114,9 @@ def history_starts(base: TrialFit, tried: Sequence[Candidate]) -> list[Candidate
             history = histories[key]
             if history is not None:
                 suitable.append((history, several))
-        found = in_processes([partial(_best_starts, *s) for s in suitable])
+        starts_by_form = in_processes([partial(_best_starts, *s) for s in suitable])
     return [replace(several[k], start=start, active=several[k].names)
-            for (_, several), starts in zip(suitable, found, strict=True) for k, start in starts]  # fmt: skip
+            for (_, several), starts in zip(suitable, starts_by_form, strict=True) for k, start in starts]  # fmt: skip
 
 
 def _is_suitable(c: Candidate) -> bool:
@@ -139,16 +134,21 @@ def _is_suitable(c: Candidate) -> bool:
     )
 
 
-def _best_starts(history: HeatingHistory, several: Sequence[Candidate]) -> list[tuple[int, dict[str, float]]]:
-    """Of the candidates of one form those, by index, that fit the history best, with the starts that do."""
+def _best_starts(
+    history: HeatingHistory, several: Sequence[Candidate], *, most_solved: int = 4
+) -> list[tuple[int, dict[str, float]]]:
+    """Of the candidates of one form those, by index, that fit the history best, with the starts that do.
+
+    most_solved : starts of a form from which the least-squares problem is solved
+    """
     misfits = [_linear_misfit(history, c) for c in several]
-    linear = sorted(range(len(several)), key=lambda k: misfits[k])[:SOLVED]
+    linear = sorted(range(len(several)), key=lambda k: misfits[k])[:most_solved]
     solved = sorted(((*_solved(history, several[k]), k) for k in linear), key=lambda s: s[0])
     kept: list[tuple[int, dict[str, float]]] = []
     for _, start, k in solved:
         if all(_apart(several[k], start, other) for _, other in kept):
             kept.append((k, start))
-    return kept[:KEPT]
+    return kept[: EFFORT.starts]
 
 
 def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:
@@ -172,8 +172,13 @@ def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:
     return float(np.sum((right - system @ step) ** 2))
 
 
-def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, dict[str, float]]:
-    """Misfit and values of the parameters at the solution of the least-squares problem from a candidate's start."""
+def _solved(
+    history: HeatingHistory, c: Candidate, *, evaluations: int = 60, step: float = 2.0**-26
+) -> tuple[float, dict[str, float]]:
+    """Misfit and values of the parameters at the solution of the least-squares problem from a candidate's start.
+
+    step : step of a difference against a parameter of an effect, over its sigma or its value [-]: root of the rounding
+    """
     used = c.uses[0]
     definitions = {f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": p for p in used.definitions}
     free = [definitions[n] for n in c.names]
@@ -198,11 +203,11 @@ def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, dict[str, flo
 
     def jacobian(z: FloatArray) -> FloatArray:
         """Forward differences, to the other side at a bound, all in one call of the compiled effect."""
-        h = np.where(z >= 0.0, STEP, -STEP) * np.maximum(np.abs(z), 1.0)
+        h = np.where(z >= 0.0, step, -step) * np.maximum(np.abs(z), 1.0)
         h = np.where((z + h < lower) | (z + h > upper), -h, h)
         moved = np.vstack([z, z + np.diag(h)])
-        found = residuals(moved)
-        return ((found[1:] - found[0]) / (np.diag(moved[1:]) - z)[:, np.newaxis]).T
+        at_moved = residuals(moved)
+        return ((at_moved[1:] - at_moved[0]) / (np.diag(moved[1:]) - z)[:, np.newaxis]).T
 
     lower = np.append(np.full(count, -np.inf), [p.lower for p in free]) / unit
     upper = np.append(np.full(count, np.inf), [p.upper for p in free]) / unit
@@ -218,7 +223,7 @@ def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, dict[str, flo
         jacobian,
         bounds=(lower, upper),
         x_scale=1.0,
-        max_nfev=EVALUATIONS,
+        max_nfev=evaluations,
     )
     at = dict(zip([*(p.name for p in history.parameters), *c.names], map(float, done.x * unit), strict=True))
     return float(2.0 * done.cost), at

@@ -24,6 +24,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     problem_with,
     start_values,
 )
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.error_likelihood import ScoredReadings, scored_readings
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import likelihood
@@ -32,16 +33,6 @@ from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 
-TIE = 1e-6
-"""Weight of the gain that a start has made already where several promise the same."""
-MAX_STARTS = 2
-"""Starts of one form that are fitted, the most promising ones."""
-SECOND_START_SHARE = 0.5
-"""Part of the best predicted gain from which on several starts of a form are fitted."""
-MIN_GAIN_SHARE = 0.25
-"""Part of the best predicted gain below which a candidate is not fitted."""
-GAIN_MARGIN = 5.0
-"""By how much a predicted gain in log likelihood may fall short of the cost of its parameters."""
 # A hundred starts screened by their sensitivities cost about as much as one fit; most of the time goes into the fits
 # that follow, hence their stages.
 STAGES = (
@@ -49,15 +40,8 @@ STAGES = (
     (0.8, QUICK),
 )  # fmt: skip
 """Part of the best gain that a candidate has to have reached to enter the stage, and the settings of the stage."""
-PREDICTED_SHARE = 0.8
-"""A candidate also enters the second stage with a gain, predicted at its start, of this part of the best."""
-EFFECT_SHARE = 0.5
-"""The best candidate of an effect also enters it with this part of the best gain: what is second by itself may be one
-of two causes."""
 STEPS_AHEAD = 3.0
 """A candidate also goes on where this many steps like its next one would make it the best; one in the last stage."""
-LIKELIHOOD_MARGIN = 5.0
-"""By how much the log likelihood of a candidate that is fitted to the end may stay below the best."""
 
 
 def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
@@ -99,13 +83,15 @@ def _predicted_gains(base: TrialFit, candidates: Sequence[Candidate], known: Flo
     return gains
 
 
-def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
+def gains_from(base: TrialFit, candidates: Sequence[Candidate], *, tie: float = 1e-6) -> list[float]:
     """Gain in log likelihood that one Gauss-Newton step predicts from starts where candidates have an effect already.
 
     returns : minus infinity where the model cannot be marched there
 
     The gain that the start has made already counts, where it is more; of starts that promise the same, those that have
     gained most come first.
+
+    tie : weight of the gain that a start has made already where several promise the same
     """
     problems = [problem_with(base, c) for c in candidates]
     firsts = [start_values(p, {**fitted_values(base), **c.start}) for p, c in zip(problems, candidates, strict=True)]
@@ -114,25 +100,25 @@ def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
         if not done:
             gains.append(-np.inf)
             continue
-        found = problem.evaluate(first)
-        gained = found.log_likelihood - base.fit.log_likelihood
-        promised = gained + gain_of_step(problem.parameters, first, found)
-        gains.append(max(gained, min(promised, limit)) + TIE * gained)
+        evaluation = problem.evaluate(first)
+        gained = evaluation.log_likelihood - base.fit.log_likelihood
+        promised = gained + gain_of_step(problem.parameters, first, evaluation)
+        gains.append(max(gained, min(promised, limit)) + tie * gained)
     return gains
 
 
-def gain_of_step(parameters: Sequence[Parameter], at: FloatArray, found: Evaluation) -> float:
+def gain_of_step(parameters: Sequence[Parameter], at: FloatArray, evaluation: Evaluation) -> float:
     """Gain in log likelihood that a Gauss-Newton step predicts, the priors of the parameters included [-].
 
-    at : (parameter,) values that were evaluated;  found : log likelihood there, with gradient and information
+    at : (parameter,) values that were evaluated;  evaluation : log likelihood there, with gradient and information
 
     Parameters on a bound that the gradient pushes beyond it stay there.
     """
     prior = np.array([p.sigma**-2.0 for p in parameters])
-    gradient = found.gradient + prior * (np.array([p.value for p in parameters]) - at)
+    gradient = evaluation.gradient + prior * (np.array([p.value for p in parameters]) - at)
     lower, upper = (np.array([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
     free = ~(((at <= lower) & (gradient <= 0.0)) | ((at >= upper) & (gradient >= 0.0)))
-    information = (found.information + np.diag(prior))[np.ix_(free, free)]
+    information = (evaluation.information + np.diag(prior))[np.ix_(free, free)]
     return predicted_gain(gradient[free], covariance(information))
 
 
@@ -149,7 +135,7 @@ def _largest_gain(base: TrialFit) -> float:
         readings = s.channel.intervals
         middle = np.where(readings.is_finite, 0.5 * (readings.lower_K + readings.upper_K), s.mean_K)
         largest += float(np.sum(likelihood(readings, middle, s.spread_K).log_likelihood))
-    return max(largest - base.fit.log_likelihood, 0.0) + GAIN_MARGIN
+    return max(largest - base.fit.log_likelihood, 0.0) + POLICY.gain_margin
 
 
 class _KnownPart(NamedTuple):
@@ -177,19 +163,19 @@ def _predicted_likelihoods(
 ) -> tuple[float, float]:
     """Log likelihood at the start, and after a Gauss-Newton step with what the base gains of its prior density."""
     channels = problem.samples(first)
-    found = scored.score(channels)
+    readings = scored.score(channels)
     own = np.concatenate([s.sensitivity for s in channels])
-    gradient, information = found.score @ own, found.weight @ own**2
+    gradient, information = readings.score @ own, readings.weight @ own**2
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
     # A parameter that starts on its bound and is pushed beyond it cannot contribute to the gain.
     on_bound = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
     J = np.column_stack([known.sensitivity, own[:, ~on_bound & (information > 0.0)]])
-    M, g = found.information(J), J.T @ found.score
+    M, g = readings.information(J), J.T @ readings.score
     count = len(known.prior_information)
     M[range(count), range(count)] += known.prior_information
     g[:count] += known.prior_information * known.to_mean
-    return found.log_likelihood, found.log_likelihood + predicted_gain(g, covariance(M))
+    return readings.log_likelihood, readings.log_likelihood + predicted_gain(g, covariance(M))
 
 
 def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
@@ -204,8 +190,10 @@ def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n
     for i in sorted(range(len(candidates)), key=lambda i: -gains[i]):
         form = candidates[i].form
         # A weak candidate is not worth a second start.
-        allowed = MAX_STARTS if gains[i] > SECOND_START_SHARE * best else 1
-        promising = gains[i] > max(MIN_GAIN_SHARE * best, 0.5 * np.log(n) * len(candidates[i].names) - GAIN_MARGIN)
+        allowed = EFFORT.starts if gains[i] > POLICY.min_of_best * best else 1
+        promising = gains[i] > max(
+            POLICY.min_promised * best, 0.5 * np.log(n) * len(candidates[i].names) - POLICY.gain_margin
+        )
         if promising and count.get(form, 0) < allowed:
             count[form] = count.get(form, 0) + 1
             selected.append(i)
@@ -213,21 +201,29 @@ def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n
 
 
 def fit_in_stages(
-    problems: Sequence[FitProblem],
-    firsts: Sequence[FloatArray],
-    base: float,
+    bases: Sequence[TrialFit],
+    candidates: Sequence[Candidate],
     predicted: Sequence[float],
-    names: Sequence[str] = (),
-) -> list[Fit]:
+    reached: float,
+    *,
+    by_effect: bool = False,
+    min_predicted: float = 0.8,
+) -> list[TrialFit]:
     """Fit all candidates a few steps, the promising ones further, and to the end those that can still be the best.
 
-    firsts    : (parameter,) values that each starts from
-    base      : log likelihood of the model without them
+    bases     : by candidate, the model that it is fitted on top of, from the values of that and its own start
     predicted : gain in log likelihood of each, predicted at its start
-    names     : of their effects; the best fit of an effect goes on with half the gain of the best of all
+    reached   : log likelihood that gains are over: of the likeliest base
+    by_effect : whether the best fit of each effect goes on with half the gain of the best of all
+    returns   : by candidate, its trial, without samples held out
+    min_predicted : a candidate also enters the second stage with a gain, predicted at its start, of this part of the
+        best
     """
-    fits = maximise_together(problems, firsts, STAGES[0][1])
-    history = [gains_over(fits, base)]
+    names = [c.name for c in candidates] if by_effect else []
+    problems = [problem_with(b, c) for b, c in zip(bases, candidates, strict=True)]
+    starts = [{**fitted_values(b), **c.start} for b, c in zip(bases, candidates, strict=True)]
+    fits = maximise_together(problems, [start_values(*p) for p in zip(problems, starts, strict=True)], STAGES[0][1])
+    history = [gains_over(fits, reached)]
     for stage, (share, settings) in enumerate(STAGES[1:], start=1):
         gains, next_step = history[-1], np.array([f.predicted_gain for f in fits])
         best = float(np.max(gains, initial=0.0))
@@ -235,21 +231,21 @@ def fit_in_stages(
         if stage == 1:
             # Patience at first: on a curved ridge between the size of an effect and the magnitude of the table the
             # first steps gain little.
-            goes_on |= (np.array(predicted) >= PREDICTED_SHARE * best) | (gains + STEPS_AHEAD * next_step >= best)
+            goes_on |= (np.array(predicted) >= min_predicted * best) | (gains + STEPS_AHEAD * next_step >= best)
             for name in set(names):
                 own = [k for k, n in enumerate(names) if n == name]
                 leads = max(own, key=lambda k: gains[k])
-                goes_on[leads] |= gains[leads] >= EFFECT_SHARE * best
+                goes_on[leads] |= gains[leads] >= POLICY.min_of_best * best
         elif stage == 2:
-            goes_on &= gains + STEPS_AHEAD * next_step >= best - LIKELIHOOD_MARGIN
+            goes_on &= gains + STEPS_AHEAD * next_step >= best - POLICY.gain_margin
         else:
-            goes_on &= np.minimum(_extrapolated(history), gains + next_step) >= best - LIKELIHOOD_MARGIN
+            goes_on &= np.minimum(_extrapolated(history), gains + next_step) >= best - POLICY.gain_margin
         chosen = [k for k in range(len(fits)) if goes_on[k] and fits[k].status is Status.ITERATIONS]
         continued = maximise_together([problems[k] for k in chosen], [fits[k].values for k in chosen], settings)
         for k, fit in zip(chosen, continued, strict=True):
             fits[k] = fit
-        history.append(gains_over(fits, base))
-    return fits
+        history.append(gains_over(fits, reached))
+    return [TrialFit(c.name, c, p, None, f) for c, p, f in zip(candidates, problems, fits, strict=True)]
 
 
 def gains_over(fits: Sequence[Fit], base: float) -> FloatArray:

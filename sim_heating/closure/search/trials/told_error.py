@@ -12,13 +12,10 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.model_error import ModelError
 
-PHASES = 8
-"""Consecutive parts of a record whose error is compared."""
 TIME_SHIFT = "time_shift_s"
-TOLD_APART = 0.5
-"""Part of its prior's standard deviation below which an error of the flight is told by itself."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +68,11 @@ def flight_in_words(flight: Mapping[str, tuple[float, float] | None]) -> str:
     return ", ".join(f"{n} {p[0]:.2g} +- {p[1]:.1g}" for n, p in flight.items() if p is not None)
 
 
-def told_error(trial: TrialFit) -> ToldError | None:
-    """The error of a trial's model; None for a model without one."""
+def told_error(trial: TrialFit, *, phase_count: int = 8) -> ToldError | None:
+    """The error of a trial's model; None for a model without one.
+
+    phase_count : consecutive parts of a record whose error is compared
+    """
     part, size = trial.problem.record_fits[0], trial.size
     error, G = part.model_error, part.error_root_K
     if error is None or size is None or G is None:
@@ -81,7 +81,7 @@ def told_error(trial: TrialFit) -> ToldError | None:
     moved_K = G[:, : len(error.time_s)] @ u[: len(error.time_s)]
     at_s = np.concatenate([part.sample_s[c.samples] for c in part.channels])
     order = np.argsort(at_s, kind="stable")
-    phases = [index for index in np.array_split(order, PHASES) if len(index)]
+    phases = [index for index in np.array_split(order, phase_count) if len(index)]
     largest = max(phases, key=lambda index: float(np.mean(moved_K[index] ** 2)))
     return ToldError(
         size.mean, size.limit(), size.likeliest[1], float(np.sqrt(np.mean(moved_K**2))),
@@ -98,7 +98,7 @@ def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tupl
     if flight.has_one_clock and CLOCK_SKEW.name in trial.fit.names:
         k = trial.fit.names.index(CLOCK_SKEW.name)
         own, sigma = float(trial.fit.values[k]), float(trial.fit.sigma[k])
-        told[TIME_SHIFT] = (own, sigma) if 0.0 < sigma < TOLD_APART * flight.uncertainty.time_shift_s else None
+        told[TIME_SHIFT] = (own, sigma) if 0.0 < sigma < POLICY.told_apart * flight.uncertainty.time_shift_s else None
     return told
 
 
@@ -114,5 +114,5 @@ def told_flight(
         sigma = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", row, covariance, row))))
         value = row @ f
         told = float(value[0]) if len(value) == 1 else float(np.sqrt(np.mean(value**2)))
-        found[name] = (told, sigma) if sigma < TOLD_APART * prior else None
+        found[name] = (told, sigma) if sigma < POLICY.told_apart * prior else None
     return found

@@ -22,7 +22,8 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
 from sim_heating.closure.prior.model_error import clock_prior, flight_error, heating_error_prior
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
-from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.estimation.fit import (
     FitResult,
     declared_model,
@@ -52,18 +53,11 @@ from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
 from sim_heating.thermal.frame import NOT_CONTROLLED_K
 
-AGREEMENT = 0.25
-"""Part of the sample interval within which two recorders' clocks are taken to agree."""
 WIDENED = 3.0
 """Factor on the sigma of effects' priors in the search, which only keep a first step within reason; not on the priors
 of the declared table, which are part of the model."""
 OF_TABLE = tuple(p.name for p in RATIO)
 """Magnitude and derivatives: parameters that a declared table has a prior for."""
-CHI2_ROUNDS, CHI2_CHANGE = 3, 1.2
-"""Most fits of the base with the reduced chi-square of the one before, and the factor by which it has to grow for
-another."""
-NODE_FRACTION, MIN_NODES = 1.0 / 3.0, 14
-"""Nodes of the search over those of a fit, and their least number."""
 QUICK = NewtonSettings(
     min_improvement=0.05,
     min_step=0.2,
@@ -72,8 +66,7 @@ QUICK = NewtonSettings(
     trust_radius=0.4,
     unlimited=OF_TABLE,
 )
-SETTLING = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=40)
-"""Settings of the fit with an error of its own."""
+CONVERGE = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=60)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,9 +77,12 @@ class TrialFit:
     problem   : over the fitted samples;  held_out : over those held out, None where there are none
     delta_bic : its BIC minus that of the model without it, residuals taken as noise (c = 1)
     score     : the BIC difference with c of the best model, held-out segments, forms and priors included
-    posterior : its probability among all candidates of its round
     size      : what the readings say of the size of its model's error, responses taken about its own values; None as
                 long as the error is that of the base
+    objections : why it may not be named, empty where it may; known of candidates fitted to convergence
+    change    : of the record, where the problem is over a changed one
+    value, sigma : of the parameter of the change with its standard deviation, in its unit; 0 where it has none
+    whole_fit : of all unknowns, the parameter of the change last
     """
 
     name: str
@@ -96,8 +92,36 @@ class TrialFit:
     fit: Fit
     delta_bic: float = 0.0
     score: float = 0.0
-    posterior: float = 0.0
     size: ErrorSize | None = None
+    objections: tuple[str, ...] = ()
+    change: RecordChange | None = None
+    value: float = 0.0
+    sigma: float = 0.0
+    whole_fit: Fit | None = None
+
+    @property
+    def admissible(self) -> bool:
+        """Whether it may be named."""
+        return not self.objections
+
+    @property
+    def deviation(self) -> float:
+        """Distance of the value of a change from the neutral one over the sigma that is usual [-]; 0 without one."""
+        parameter = None if self.change is None else self.change.parameter
+        return 0.0 if parameter is None else abs(self.value - parameter.value) / parameter.sigma
+
+    @property
+    def deviations_of_free(self) -> list[float]:
+        """Distance of each model parameter freed with a change from its prior, in standard deviations [-]."""
+        part, values = self.problem.record_fits[0], fitted_values(self)
+        priors = {name: part.model.definition(name) for name in (self.change.free if self.change else ())}
+        return [abs(values[name] - p.value) / p.sigma for name, p in priors.items()]
+
+    @property
+    def estimates(self) -> dict[str, tuple[Parameter, float, float]]:
+        """Parameter of the change, value and standard deviation by its name; none for a change without one."""
+        parameter = None if self.change is None else self.change.parameter
+        return {} if parameter is None else {parameter.name: (parameter, self.value, self.sigma)}
 
     @property
     def log_evidence(self) -> float:
@@ -155,7 +179,7 @@ class TrialFit:
         if self.held_out is None:
             return 0.0
         if self.held_out.record_fits[0].model_error is None:
-            found = self.held_out.evaluate(self.fit.values).log_likelihood
+            total = self.held_out.evaluate(self.fit.values).log_likelihood
         else:
             try:
                 samples = self.held_out_samples
@@ -163,8 +187,8 @@ class TrialFit:
                 return -np.inf
             known = self.held_out.record_fits[0].known_log_likelihood
             each = (log_likelihood(s.channel.intervals, s.mean_K, s.spread_K) for s in samples)
-            found = known + sum(float(np.sum(x)) for x in each)
-        return found if np.isfinite(found) else -np.inf
+            total = known + sum(float(np.sum(x)) for x in each)
+        return total if np.isfinite(total) else -np.inf
 
     @cached_property
     def held_out_chi2(self) -> float:
@@ -174,7 +198,8 @@ class TrialFit:
         return rms_normalised_residual(self.held_out_samples) ** 2
 
     def __repr__(self) -> str:
-        return f"<TrialFit of {self.name}: score {self.score:+.1f}, posterior {self.posterior:.3f}>"
+        name = self.name if self.change is None else self.change.describe(self.value)
+        return f"<TrialFit of {name}: score {self.score:+.1f}>"
 
 
 def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResult:
@@ -196,7 +221,14 @@ def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResul
     return replace(fit, not_estimated=fit.not_estimated | excluded)
 
 
-def base_trial(before: FitResult) -> TrialFit:
+def base_trial(
+    before: FitResult,
+    *,
+    chi2_rounds: int = 3,
+    chi2_change: float = 1.2,
+    node_fraction: float = 1.0 / 3.0,
+    min_nodes: int = 14,
+) -> TrialFit:
     """The declared model with its magnitude and derivatives, and a clock that may be slightly off.
 
     Magnitude and derivatives have the prior of the declared table, as wide as it is. The base has the largest
@@ -206,6 +238,12 @@ def base_trial(before: FitResult) -> TrialFit:
     with c its own reduced chi-square, at least 1: where something is missing, every reading counts as less than it
     would with noise alone, and the table keeps its say. With c = 1, a missing transition turns the magnitude and
     derivatives of a table into ones that no table has, from where no candidate finds its way.
+
+    chi2_rounds, chi2_change : most fits of the base with the reduced chi-square of the one before, and the factor by
+        which it has to grow for another
+
+    node_fraction : nodes of the search over those of a fit
+    min_nodes : least number of nodes of the search
     """
     whole = before.problem.record_fits[0]
     prior = table_prior(whole.record, whole.names, before.problem.reference)
@@ -217,7 +255,7 @@ def base_trial(before: FitResult) -> TrialFit:
     }
     fitted, held_out = whole.record.fit_mask(), whole.record.holdout_mask()
     # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
-    thin = thin_record(whole.record, max(int(NODE_FRACTION * whole.mesh.nodes), MIN_NODES))
+    thin = thin_record(whole.record, max(int(node_fraction * whole.mesh.nodes), min_nodes))
     full = _declared_problem(before, whole.record, priors, fitted | held_out)
     thinned = _declared_problem(before, thin, priors, fitted | held_out, **THINNED_STEPS)
     error_K, at_s = thinning_error(full, thinned, start)
@@ -239,9 +277,9 @@ def base_trial(before: FitResult) -> TrialFit:
     except InputError:  # nothing was measured there
         held_out_problem = None
     fit, c = maximise_together([problem], [start_values(problem, start)], QUICK)[0], 1.0
-    for _ in range(CHI2_ROUNDS if priors else 0):
+    for _ in range(chi2_rounds if priors else 0):
         before_c, c = c, max(1.0, rms_normalised_residual(problem.innovations(fit.values)) ** 2)
-        if c < CHI2_CHANGE * before_c:
+        if c < chi2_change * before_c:
             break
         weighed = problem_over(fitted, c)
         at = declared if before_c == 1.0 else dict(zip(fit.names, fit.values, strict=True))
@@ -249,7 +287,7 @@ def base_trial(before: FitResult) -> TrialFit:
     own = np.array([p.sigma**-2.0 for p in problem.parameters])
     fit = replace(fit, prior_information=own, log_posterior=fit.log_likelihood)
     fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
-    return TrialFit("none", Candidate("none", (), (), {}, (), ()), problem, held_out_problem, fit)
+    return TrialFit("none", NO_EFFECT, problem, held_out_problem, fit)
 
 
 def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, float]) -> ModelError | None:
@@ -282,8 +320,7 @@ def with_own_error(trial: TrialFit) -> TrialFit:
         return trial
     record = part.record
     either = [record.fit_mask() | record.holdout_mask()]
-    nothing = Candidate("none", (), (), {}, (), ())
-    whole = candidate_problem(trial, part, nothing, part.names, prior_scale=WIDENED, sample_masks=either)
+    whole = candidate_problem(trial, part, NO_EFFECT, part.names, prior_scale=WIDENED, sample_masks=either)
     try:
         error = model_error(
             whole.record_fits[0], trial.fit.values, part.model_error.sigma, part.model_error.correlation_s,
@@ -291,18 +328,18 @@ def with_own_error(trial: TrialFit) -> TrialFit:
         )  # fmt: skip
     except RunError:
         return trial
-    found = _of_error(trial, error)
-    size = _size_of_error(found, prior)
-    found = _of_error(found, error.of_size(*size.likeliest))
-    fit = maximise_together([found.problem], [trial.fit.values], SETTLING)[0]
+    sized = with_error(trial, error)
+    size = _size_of_error(sized, prior)
+    sized = with_error(sized, error.of_size(*size.likeliest))
+    fit = maximise_together([sized.problem], [trial.fit.values], replace(CONVERGE, iterations=40))[0]
     if not np.isfinite(fit.log_likelihood):
         return trial
     gained = fit.log_likelihood - trial.fit.log_likelihood
-    found = replace(found, fit=fit, delta_bic=trial.delta_bic - 2.0 * gained)
-    return replace(found, size=_size_of_error(found, prior))
+    sized = replace(sized, fit=fit, delta_bic=trial.delta_bic - 2.0 * gained)
+    return replace(sized, size=_size_of_error(sized, prior))
 
 
-def _of_error(trial: TrialFit, error: ModelError) -> TrialFit:
+def with_error(trial: TrialFit, error: ModelError) -> TrialFit:
     """A trial with another error of its model."""
     return replace(
         trial,
@@ -328,7 +365,7 @@ def _declared_problem(
     interval = float(np.median(np.diff(whole.record.time_s)))
     # Clocks of two recorders never agree exactly, and an unstated skew is estimated as an effect: some room for it
     # belongs to the model without effects.
-    agreement_s = min(AGREEMENT * interval, SKEW_SPAN_S)
+    agreement_s = min(0.25 * interval, SKEW_SPAN_S)
     clock = {} if CLOCK_SKEW.name in whole.names else {CLOCK_SKEW.name: clock_prior(record, agreement_s)}
     options = FitOptions(
         effects=before.problem.options.effects,
@@ -378,6 +415,16 @@ def own_thinning_error(
     full = FitProblem([whole], own, trial.problem.reference, options)
     thinned = FitProblem([thin or part.record], own, trial.problem.reference, replace(options, **THINNED_STEPS))
     return thinning_error(full, thinned, fitted_values(trial))
+
+
+def corrected(trial: TrialFit, correction: tuple[FloatArray, FloatArray]) -> TrialFit:
+    """A trial with another mesh correction, as `own_thinning_error` gives it; its fit is as before."""
+    error_K, at_s = correction
+
+    def with_own(problem: FitProblem) -> FitProblem:
+        return problem.with_correction(error_K[:, np.isin(at_s, problem.record_fits[0].sample_s)])
+
+    return replace(trial, problem=with_own(trial.problem), held_out=trial.held_out and with_own(trial.held_out))
 
 
 def problem_with(base: TrialFit, candidate: Candidate) -> FitProblem:
@@ -482,8 +529,6 @@ TOLERANCES = {
     "alpha_deg": 0.1, "beta_deg": 0.1, "log10_re": 0.01, "elevon_deg": 0.2, "bodyflap_deg": 0.2, "jets": 0.02,
 }  # fmt: skip
 """Largest distance of an omitted sample from the line between its kept neighbours, in its own unit."""
-HEATING_TOLERANCE = 0.002
-"""The same for the heating of a cold wall, over the largest of the flight."""
 
 
 def thin_record(record: Record, nodes: int) -> Record:
@@ -497,14 +542,18 @@ def thin_record(record: Record, nodes: int) -> Record:
     return replace(record, declared=declared, conditions=record.conditions.at(flown.time_s[thinned_indices(flown)]))
 
 
-def thinned_indices(flown: Conditions) -> NDArray[np.int64]:
-    """(kept,) indices of the samples that are kept, first and last included."""
+def thinned_indices(flown: Conditions, *, heating_tolerance: float = 0.002) -> NDArray[np.int64]:
+    """(kept,) indices of the samples that are kept, first and last included.
+
+    heating_tolerance : the largest distance that an omitted sample's heating of a cold wall has from that line, over
+        the largest heating of the flight
+    """
     t = flown.time_s
     heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     if "q_add_W_m2" in flown:
         heating = heating + flown["q_add_W_m2"]
     largest = float(np.max(np.abs(heating)))
-    columns = [heating / (HEATING_TOLERANCE * largest)] if largest > 0.0 else []
+    columns = [heating / (heating_tolerance * largest)] if largest > 0.0 else []
     columns += [flown[name] / tolerance for name, tolerance in TOLERANCES.items() if name in flown]
     x = np.column_stack(columns)
     kept = [0]

@@ -22,21 +22,13 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.closure.search.calibration import true_statistics
+from sim_heating.closure.verdict.calibration import true_statistics
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.record_fit import PredictedSamples
 
-ADEQUATE, UNEXPLAINED = 0.01, 1e-3
-"""p-value from which on a model explains the record to its noise, and below which something is missing although no
-candidate explains any of it."""
-PARTS, FEWEST = 8, 12
-"""Consecutive parts of a record that are judged by themselves, and the least number of samples of one."""
-MODEL_ERROR = 0.03
-"""Excess chi-square that meshes and steps may leave [-]."""
-UNEVEN = 0.15
-"""Relative excess of a part's chi-square over that of the record that noise of one size may have, besides scatter."""
-MAX_LAG1, COLOUR = 0.4, 0.1
-"""Largest autocorrelation that counts as the colour of noise [-], and that by which recorders' colours differ."""
+FEWEST = 12
+"""Least number of samples of a part that is judged by itself."""
 
 
 @dataclass(frozen=True)
@@ -97,14 +89,20 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
     own = {s.channel.sensor.name: _scores(s) for s in fitted}
     everything = _joined(list(own.values()))
     lag1, sign_changes = _neighbours(fitted)
-    rho = min(max(lag1, 0.0), MAX_LAG1)
+    rho = min(max(lag1, 0.0), POLICY.max_lag1)
     parts = _parts(everything)
     chi2 = {"": everything, **{f"sensor {n}": s for n, s in own.items()}, **parts}
     if held_out:
         chi2["held out"] = _joined([_scores(s) for s in held_out])
     scatter = 1.0 / math.sqrt(max(len(everything.time_s), 1))
     judged = [_excess(s, rho) for s in chi2.values() if len(s.time_s) >= FEWEST]
-    statistic = max([*judged, lag1 / (COLOUR + scatter), (0.5 - sign_changes) / (0.5 * COLOUR + 0.5 * scatter)])
+    statistic = max(
+        [
+            *judged,
+            lag1 / (POLICY.noise_colour + scatter),
+            (0.5 - sign_changes) / (0.5 * POLICY.noise_colour + 0.5 * scatter),
+        ]
+    )
     return Adequacy(
         p_value=p_value(statistic),
         chi2_fit=everything.chi2(),
@@ -114,7 +112,7 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
         by_sensor={n: s.chi2() for n, s in own.items()},
         by_phase={n: s.chi2() for n, s in parts.items()},
         statistic=statistic,
-        unstructured=lag1 <= COLOUR + scatter and all(_is_even(s, everything) for s in chi2.values()),
+        unstructured=lag1 <= POLICY.noise_colour + scatter and all(_is_even(s, everything) for s in chi2.values()),
     )
 
 
@@ -146,10 +144,13 @@ def _joined(several: Sequence[_Scores]) -> _Scores:
     return _Scores(time_s[order], square[order], information[order])
 
 
-def _parts(everything: _Scores) -> dict[str, _Scores]:
-    """Consecutive parts with as many samples each, by their times."""
+def _parts(everything: _Scores, *, part_count: int = 8) -> dict[str, _Scores]:
+    """Consecutive parts with as many samples each, by their times.
+
+    part_count : consecutive parts of a record that are judged by themselves
+    """
     found = {}
-    for index in np.array_split(np.arange(len(everything.time_s)), PARTS):
+    for index in np.array_split(np.arange(len(everything.time_s)), part_count):
         if len(index) >= FEWEST:
             part = everything.select(index)
             found[f"{part.time_s[0]:.0f} to {part.time_s[-1]:.0f} s"] = part
@@ -160,13 +161,13 @@ def _excess(scores: _Scores, rho: float) -> float:
     """Excess chi-square over its scatter."""
     n = max(len(scores.time_s), 1)
     scatter = math.sqrt(2.0 * (1.0 + rho**2) / ((1.0 - rho**2) * n))
-    return (scores.chi2() - 1.0) / (MODEL_ERROR + scatter)
+    return (scores.chi2() - 1.0) / (POLICY.model_error_chi2 + scatter)
 
 
 def _is_even(part: _Scores, everything: _Scores) -> bool:
     """Whether the chi-square of a part is not far above that of the whole record."""
     n = len(part.time_s)
-    return n < FEWEST or part.chi2() <= everything.chi2() * (1.0 + UNEVEN + 3.0 * math.sqrt(2.0 / n))
+    return n < FEWEST or part.chi2() <= everything.chi2() * (1.0 + POLICY.uneven_chi2 + 3.0 * math.sqrt(2.0 / n))
 
 
 def _neighbours(everything: Sequence[PredictedSamples]) -> tuple[float, float]:

@@ -25,18 +25,6 @@ from sim_heating.march.history import march_points
 CLOCK, TRAJECTORY, START = "clock", "trajectory", "start"
 UNITS = {"milliseconds": 1e-3, "minutes": 60.0, "hours": 3600.0}
 """Units of time that a clock may be in by mistake, in s."""
-MIN_CORRELATION = 0.9
-"""Correlation of measured and predicted temperatures that confirms another unit of a clock."""
-MAX_SPAN_RATIO = 8.0
-"""Spans of measurements and conditions that differ by more than this factor are on clocks of two units."""
-DECELERATION_M_S2 = (0.05, 300.0)
-"""Limits of the mean deceleration of an entry."""
-MIN_ENTRY_SPEED_M_S = 1000.0
-"""A record whose velocity stays below is a ground test."""
-PLAUSIBLE_SCALES = (-0.4, 0.6)
-"""Limits of the relative error of a whole table; beyond them reference heating or trajectory is wrong."""
-EXPLAINED = 2.0
-"""Residual over the noise below which a record is explained."""
 
 
 @dataclass(frozen=True)
@@ -51,22 +39,27 @@ class DataFault:
     message: str
 
 
-def clock_fault(record: Record) -> DataFault | None:
-    """Clocks of measurements and conditions in different units; None where their spans agree or no unit fits."""
+def clock_fault(record: Record, *, min_correlation: float = 0.9, max_span_ratio: float = 8.0) -> DataFault | None:
+    """Clocks of measurements and conditions in different units; None where their spans agree or no unit fits.
+
+    min_correlation : correlation of measured and predicted temperatures that confirms another unit of a clock
+    max_span_ratio : spans of measurements and conditions that differ by more than this factor are on clocks of two
+        units
+    """
     read_s, flown_s = float(np.ptp(record.time_s)), float(np.ptp(record.conditions.time_s))
-    if read_s <= 0.0 or flown_s <= 0.0 or 1.0 / MAX_SPAN_RATIO < read_s / flown_s < MAX_SPAN_RATIO:
+    if read_s <= 0.0 or flown_s <= 0.0 or 1.0 / max_span_ratio < read_s / flown_s < max_span_ratio:
         return None
     deceleration = float(np.ptp(record.conditions["velocity_m_s"])) / flown_s
     # the conditions are right where their clock makes a possible flight; the measurements' clock is then at fault
     conditions_right = _is_ground_test(record) or _is_entry(deceleration)
     for unit, seconds in UNITS.items():
         for factor in (seconds, 1.0 / seconds):
-            if not 1.0 / MAX_SPAN_RATIO < factor * read_s / flown_s < 1.2:
+            if not 1.0 / max_span_ratio < factor * read_s / flown_s < 1.2:
                 continue
             wrong = "thermocouples" if conditions_right else "flight conditions"
             found = unit if (factor == seconds) == conditions_right else f"s where the other file has {unit}"
             correlation = _correlation_at(record, factor, conditions_right)
-            if correlation > MIN_CORRELATION:
+            if correlation > min_correlation:
                 return DataFault(
                     CLOCK,
                     f"{record.name}: the clock of the {wrong} is in {found}: measurements span {read_s:.4g} and "
@@ -77,12 +70,13 @@ def clock_fault(record: Record) -> DataFault | None:
     return None
 
 
-def _is_ground_test(record: Record) -> bool:
-    return bool(record.conditions["velocity_m_s"].max() < MIN_ENTRY_SPEED_M_S)
+def _is_ground_test(record: Record, *, min_entry_speed_m_s: float = 1000.0) -> bool:
+    """Whether the velocity of a record stays below that of any entry."""
+    return bool(record.conditions["velocity_m_s"].max() < min_entry_speed_m_s)
 
 
 def _is_entry(deceleration_m_s2: float) -> bool:
-    return DECELERATION_M_S2[0] < deceleration_m_s2 < DECELERATION_M_S2[1]
+    return 0.05 < deceleration_m_s2 < 300.0
 
 
 def _correlation_at(record: Record, factor: float, conditions_right: bool) -> float:
@@ -126,13 +120,24 @@ def start_fault(record: Record) -> DataFault | None:
     return DataFault(START, other.in_words) if other is not None and other.is_hot else None
 
 
-def magnitude_fault(problem: FitProblem, values: FloatArray) -> DataFault | None:
-    """A heating level that no error of a table explains, of a fit that explains its record; else None."""
-    if rms_normalised_residual(problem.samples(values)) > EXPLAINED:
+def magnitude_fault(
+    problem: FitProblem,
+    values: FloatArray,
+    *,
+    max_residual: float = 2.0,
+    plausible_scales: tuple[float, float] = (-0.4, 0.6),
+) -> DataFault | None:
+    """A heating level that no error of a table explains, of a fit that explains its record; else None.
+
+    max_residual : residual over the noise below which a record is explained
+    plausible_scales : limits of the relative error of a whole table; beyond them reference heating or trajectory is
+        wrong
+    """
+    if rms_normalised_residual(problem.samples(values)) > max_residual:
         return None
     record = problem.record_fits[0].record
     scale = problem.record_fits[0].values(values).get("ratio.scale")
-    if scale is None or PLAUSIBLE_SCALES[0] < scale < PLAUSIBLE_SCALES[1]:
+    if scale is None or plausible_scales[0] < scale < plausible_scales[1]:
         return None
     return DataFault(
         TRAJECTORY,
