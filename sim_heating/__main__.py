@@ -69,8 +69,10 @@ def main() -> int:
         from sim_heating import cli
 
         return cli.main(signals=signals)
-    except KeyboardInterrupt:  # of the half second before the command is known; later ones are its own
-        return _interrupted(signals.exit_status)
+    except BaseException as error:  # of the half second before the command is known; later ones are its own
+        if not (signals.received or isinstance(error, KeyboardInterrupt)):
+            raise
+        return _interrupted(signals.exit_status)  # also where a library has made another error of it
 
 
 def _interrupted(status: int) -> int:

@@ -73,6 +73,27 @@ def test_a_request_to_end_gives_status_143_wherever_it_arrives(place: str) -> No
     assert done.stderr == "interrupted: nothing was left half-written\n"
 
 
+LOADING = """
+import os, signal, sys, time
+class Finder:
+    @staticmethod
+    def find_spec(name, *_):
+        if name == "sim_heating.cli":
+            try:
+                os.kill(os.getpid(), signal.SIGTERM); time.sleep(30.0)
+            except KeyboardInterrupt:
+                raise ImportError("half loaded") from None
+from sim_heating.__main__ import main
+sys.meta_path.insert(0, Finder)
+sys.exit(main())
+"""
+
+
+def test_a_request_to_end_while_a_library_is_loaded_gives_its_status() -> None:
+    done = subprocess.run([sys.executable, "-c", LOADING], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (143, "interrupted: nothing was begun\n")
+
+
 ENDED = """
 import atexit, os
 import sim_heating.cli
