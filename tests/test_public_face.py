@@ -72,7 +72,6 @@ def test_no_module_hides_a_public_name():
     assert {name: getattr(sh, name) for name in sh.__all__} == before
 
 
-
 def shown_to_users():
     """Python that a user reads: blocks of the pages, and the examples."""
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
