@@ -321,7 +321,7 @@ def advance_behind_walls(
 
     vectors : (lane, condition) at the end, overwritten;  then : a copy of them, of the same shape
 
-    A wall upstream is in an earlier group (march/ensemble.py): its temperature at the end of a step is known when the
+    A wall upstream is in an earlier group (march/lanes.py): its temperature at the end of a step is known when the
     step of the walls behind it is taken, and its enthalpy is linear over the step, as in a march.
     """
     behind = False

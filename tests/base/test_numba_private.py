@@ -32,7 +32,6 @@ from sim_heating.base.kernels.numba_private import (
 )
 from sim_heating.base.kernels.operations import call_dispatcher, call_step, pointer, power_of_two, split
 from sim_heating.heating.effects import transition
-from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]
 
@@ -50,33 +49,6 @@ def one_llvm(kernel) -> str:
     """LLVM IR of a kernel that was compiled for one set of arguments."""
     (text,) = kernel.inspect_llvm().values()
     return str(text)
-
-
-LOADED = """
-import sys
-from {module} import {names}
-print({call}, any(name.startswith("numba.np.arraymath") for name in sys.modules))
-"""
-
-
-@pytest.mark.thorough
-def test_a_compiled_function_is_loaded_without_a_compiler_and_may_make_arrays() -> None:
-    """The compiler is prepared where something is compiled, as numba's own functions for arrays show."""
-    calls = (
-        ("sim_heating.heating.atmosphere", "gravity", "float(gravity(0.0))"),
-        (
-            "sim_heating",
-            "load_record, predict",
-            "predict(load_record('scenarios/records/practice/p06')).indicated_K[0, 0]",
-        ),
-    )
-    for module, names, call in calls:
-        code = LOADED.format(module=module, names=names, call=call)
-        for _ in range(2):  # the first may compile
-            done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-        number, prepared = done.stdout.split()
-        assert float(number) > 0.0
-        assert prepared == "False"
 
 
 # Compilers -----------------------------------------------------------------------------------------------------------

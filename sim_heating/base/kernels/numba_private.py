@@ -1,8 +1,7 @@
 """Parts of numba that its documentation does not promise, all in this file.
 
-Compilers with Python's garbage collection off and without entry points that nobody calls, functions that are loaded
-without a compiler, a compilation that something surrounds, LLVM code for pointers, bits and calls through addresses,
-and the LLVM module behind a compiled function.
+Compilers with Python's garbage collection off and without entry points that nobody calls, a compilation that something
+surrounds, LLVM code for pointers, bits and calls through addresses, and the LLVM module behind a compiled function.
 tests/base/test_numba_private.py has a test for each: after a change of numba its name states what no longer works.
 """
 
@@ -21,7 +20,6 @@ import numba.core.ccallback
 import numba.core.compiler
 import numba.core.compiler_lock
 import numba.core.registry
-import numba.core.runtime
 import numba.core.sigutils
 import numba.extending
 
@@ -57,26 +55,13 @@ class KernelCompiler(CFunctionCompiler):
         flags.no_cpython_wrapper = any(isinstance(argument, numba.types.CPointer) for argument in self.state.args)
 
 
-class LoadedFunctions(numba.core.caching.FunctionCache):
-    """numba's cache of a function, which loads one without what compiling one needs.
-
-    numba prepares its compiler before it loads anything, a tenth of a short command; a compilation prepares it by
-    itself.
-    """
-
-    def load_overload(self, signature: Any, context: Any) -> Any:
-        numba.core.runtime.rtsys.initialize(context)  # a kernel may make arrays
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(signature, context)
-
-
 def cached_c_function(signature: Any, function: Any, options: Mapping[str, Any]) -> Any:
     """A function as numba's cfunc makes it, loaded from the cache where that has it; options as that takes them."""
     arguments = numba.core.sigutils.normalize_signature(signature)
     c_function: Any = numba.core.ccallback.CFunc(
         function, arguments, {}, dict(options), pipeline_class=CFunctionCompiler
     )
-    c_function._cache = LoadedFunctions(function)
+    c_function.enable_caching()
     c_function.compile()
     return c_function
 
@@ -98,7 +83,7 @@ def compile_within(surrounding: Callable[[Any], AbstractContextManager[None]], d
 
     surrounding : gives the context of a Python function
     """
-    dispatcher._cache = LoadedFunctions(dispatcher.py_func)
+    dispatcher.enable_caching()
     compile_now = dispatcher.compile
 
     def compile_(signature: Any) -> Any:
