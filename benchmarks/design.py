@@ -43,7 +43,7 @@ def _figures(name: str, designed: DesignResult, took: float) -> list[Figure]:
             f"{name}: {v.kind}: {v.change}, {parameter}", float(v.sigma[k] / base[k]), "", note="bound over declared"
         )
         for v in designed.instruments[1:]
-        for k, parameter in enumerate(designed.wanted)
+        for k, parameter in enumerate(designed.targets)
     ]
     return figures
 

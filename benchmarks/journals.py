@@ -195,7 +195,7 @@ def _judge_resumed(place: Path, wanted: Sequence[bytes], changed: bytes, tally: 
     tally["resumed"] += 1
     found = [entry.body for entry in read_journal(place)]
     tally["lost by the next link"] += missing([*wanted, b"after"], found) + missing(found, [*wanted, b"after"])
-    if journal.told:
+    if journal.notes:
         copies = [p.read_bytes() for p in place.glob("journal.damaged-*.bin")]
         tally["no copy"] += copies != [changed]
 

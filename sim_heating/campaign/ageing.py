@@ -55,16 +55,16 @@ def walk(
     returns  : value and standard deviation after each flight; p-value [-], None for one flight
     """
     value, variance = measured[0][0], measured[0][1] ** 2
-    known, chi_square = [(value, float(np.sqrt(variance)))], 0.0
+    filtered, chi_square = [(value, float(np.sqrt(variance)))], 0.0
     for estimate, sigma in measured[1:]:
         variance += sigma_per_flight**2
         innovation, total = estimate - value, variance + sigma**2
         chi_square += innovation**2 / total
         value += variance / total * innovation
         variance *= sigma**2 / total
-        known.append((value, float(np.sqrt(variance))))
+        filtered.append((value, float(np.sqrt(variance))))
     degrees = len(measured) - 1
-    return known, float(chdtrc(degrees, chi_square)) if degrees else None
+    return filtered, float(chdtrc(degrees, chi_square)) if degrees else None
 
 
 def walks_of_fits(rows: Sequence[Mapping[str, Any]], sigmas: Mapping[str, float], flights: Sequence[str]) -> list[Walk]:
@@ -85,8 +85,8 @@ def walks_of_fits(rows: Sequence[Mapping[str, Any]], sigmas: Mapping[str, float]
             if not flown:
                 continue
             measured = [_weighted_mean(by_flight[flight]) for flight in flown]
-            known, p_value = walk(measured, sigma_per_flight)
-            value, sigma = known[-1]
+            filtered, p_value = walk(measured, sigma_per_flight)
+            value, sigma = filtered[-1]
             walks.append(
                 Walk(
                     control_point=point,
@@ -95,7 +95,7 @@ def walks_of_fits(rows: Sequence[Mapping[str, Any]], sigmas: Mapping[str, float]
                     sigma_per_flight=sigma_per_flight,
                     flights=tuple(flown),
                     measured=tuple(measured),
-                    known=tuple(known),
+                    known=tuple(filtered),
                     next_value=value,
                     next_sigma=float(np.hypot(sigma, sigma_per_flight)),
                     p_value=p_value,

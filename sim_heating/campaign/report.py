@@ -286,9 +286,9 @@ def _ageing_section(result: CampaignResult) -> list[Section]:
         Column("with those before", format=".4g"), Column("sigma", "known_sigma", format=".2g"),
     ]  # fmt: skip
     rows = [
-        [w.control_point, w.parameter, flight, *measured, *known]
+        [w.control_point, w.parameter, flight, *measured, *filtered]
         for w in result.walks
-        for flight, measured, known in zip(w.flights, w.measured, w.known, strict=True)
+        for flight, measured, filtered in zip(w.flights, w.measured, w.known, strict=True)
     ]
     rows += [
         [w.control_point, w.parameter, "the next", math.nan, math.nan, w.next_value, w.next_sigma] for w in result.walks

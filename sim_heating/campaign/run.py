@@ -177,14 +177,14 @@ def _flights(campaign: Campaign, engine: Engine, progress: Progress) -> tuple[li
         directories = next(folders).task.folders if source.scenarios else (str(source.records),)
         paths = [p for directory in directories for p in record_directories(Path(directory))]
         read = flights_of_records(
-            [r for r in (load_record(p, root=campaign.root) for p in paths) if _wanted(campaign, r)]
+            [r for r in (load_record(p, root=campaign.root) for p in paths) if _is_selected(campaign, r)]
         )
         flights += read
         checks += [f.name for f in read if source.check]
     return flights, checks
 
 
-def _wanted(campaign: Campaign, record: Record) -> bool:
+def _is_selected(campaign: Campaign, record: Record) -> bool:
     named = campaign.declared.control_points
     return named is None or record.declared.control_point in named
 

@@ -389,7 +389,7 @@ def estimate(
         ties=ties,
         starts=starts,
     )
-    names, omitted, optional = _wanted(parameters, loaded, options)
+    names, omitted, optional = _labels_to_estimate(parameters, loaded, options)
     condition = joint_reference(loaded, reference)
     remaining = _remaining_names(names, omitted, loaded)
     options = _without(options, set(omitted), Owners(loaded))
@@ -482,7 +482,7 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
     return replace(_fit_result(problem, fit, dict(reasons or {}), notes, None), outliers=tuple(outliers))
 
 
-def _wanted(
+def _labels_to_estimate(
     names: Sequence[str] | None, records: Sequence[Record], options: FitOptions
 ) -> tuple[list[str], dict[str, str], frozenset[str]]:
     """Labels of the parameters that are to be estimated; of those that are left out before any march, with reasons; and

@@ -338,14 +338,14 @@ class FitProblem:
         )
 
     def _lane_log_likelihoods(self, vectors: FloatArray) -> FloatArray:
-        def one(k: int) -> FloatArray:
+        def of_record(k: int) -> FloatArray:
             record_fit, march = self.record_fits[k], self.marches.plain(k)
             # a group of lanes is always full: the last candidate fills it up
             padded = [*vectors, *[vectors[-1]] * (LANES - len(vectors))]
             marched = march.attempt(*set_parameters(march, [record_fit] * LANES, padded))
             return np.array([_log_likelihood(record_fit, v, m) for v, m in zip(vectors, marched, strict=False)])
 
-        return np.asarray(np.sum(in_threads(one, len(self.record_fits)), axis=0))
+        return np.asarray(np.sum(in_threads(of_record, len(self.record_fits)), axis=0))
 
     # Mesh ------------------------------------------------------------------------------------------------------------
 

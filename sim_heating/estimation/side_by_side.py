@@ -60,14 +60,14 @@ class JointMarch:
         if all(problem.marches.has(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
             return [True] * len(self.problems)
 
-        def one(k: int) -> list[Linearised | None]:
+        def of_group(k: int) -> list[Linearised | None]:
             group = self._groups[k]
             return group.march.attempt(
                 *set_parameters(group.march, group.record_fits, [vectors[i] for i, _ in group.members])
             )
 
         marched: list[dict[int, Linearised]] = [{} for _ in self.problems]
-        for group, results in zip(self._groups, in_threads(one, len(self._groups)), strict=True):
+        for group, results in zip(self._groups, in_threads(of_group, len(self._groups)), strict=True):
             for (i, k), result in zip(group.members, results, strict=True):
                 # one record that fails makes its own problem fail and no other in its lanes
                 if result is not None:

@@ -146,7 +146,7 @@ class LinkEngine:
         self.link, self.journal = link, journal
         self.estimator = make_estimator(link) if estimator is None else estimator
         self.remarks = Remarks()
-        for line in [] if journal is None else journal.told:
+        for line in [] if journal is None else journal.notes:
             self.remarks.add(line)
         self.arrivals = Arrivals(link, self.remarks.add)
         sensors = {(p.name, s.name): s for p in link.points for s in p.sensors}

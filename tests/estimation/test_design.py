@@ -329,7 +329,7 @@ def test_a_wrong_design_table_is_reported(tmp_path, old, new, message):
 
 @pytest.mark.parametrize("path", sorted(SCENARIO.parent.glob("design_*.toml")), ids=lambda p: p.stem)
 def test_a_shipped_design_is_checked_and_names_what_it_wants(path):
-    assert Planner(load_scenario(path)).wanted
+    assert Planner(load_scenario(path)).targets
 
 
 @pytest.mark.thorough

@@ -100,8 +100,8 @@ def test_a_damaged_journal_is_kept_aside_and_gone_on_with(tmp_path):
     flip(file, b"message 5")
     damaged = file.read_bytes()
     again = journal(tmp_path)
-    assert "behind message 5" in again.told[0]
-    assert "the damaged journal is kept as" in again.told[1]
+    assert "behind message 5" in again.notes[0]
+    assert "the damaged journal is kept as" in again.notes[1]
     again.append(b"after")
     again.close(is_end=True)
     assert bodies(tmp_path) == [*(b"message %d" % k for k in range(10) if k != 5), b"after"]
@@ -120,7 +120,7 @@ def test_a_header_that_is_damaged_is_read_from_its_copy(tmp_path, cut):
     assert bodies(tmp_path) == [b"message"] * 3
     again = journal(tmp_path)
     assert again.is_resumed
-    assert "a copy of the header is used" in again.told[0]
+    assert "a copy of the header is used" in again.notes[0]
     again.close(is_end=False)
 
 
@@ -207,7 +207,7 @@ def test_a_journal_of_an_earlier_version_is_gone_on_with_and_says_so(tmp_path):
     entry = HEAD.pack(len(content), zlib.crc32(content)) + content
     (tmp_path / NAME).write_bytes(json.dumps(header).encode() + b"\n" + entry)
     own = Journal(tmp_path / NAME, LINK, PLACE, means={"columns": []})
-    assert "is of an earlier version" in own.told[0]
+    assert "is of an earlier version" in own.notes[0]
     own.append(b"after")
     own.close(is_end=True)
     assert bodies(tmp_path) == [b"message", b"after"]

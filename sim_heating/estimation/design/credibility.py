@@ -43,7 +43,7 @@ def credibility_of_design(
     model = point_of_vehicle(scenario.vehicle, point, effects=scenario.effects(point.name))
     searched = scenario.declared.trajectory.model_copy(update=SEARCH_TRAJECTORY)
     search = replace(scenario, declared=scenario.declared.model_copy(update={"trajectory": searched}))
-    agree = _agree(fitted, planner.wanted)
+    agree = _agree(fitted, planner.targets)
     facts_of_design = replace(
         facts,
         kind="design",

@@ -307,7 +307,7 @@ def _shared_variables(scaled: Sequence[int], exponents: Sequence[int]) -> int:
     return sum(i in scaled for i in exponents)
 
 
-def check_wanted(planned: Experiment, names: Sequence[str]) -> None:
+def check_identified(planned: Experiment, names: Sequence[str]) -> None:
     """Check that the planned flight identifies the wanted parameters.
 
     raises : InputError naming those whose bound is infinite or not below 0.999 of their prior's sigma [-]

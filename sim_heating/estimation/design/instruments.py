@@ -43,7 +43,7 @@ def instrumentation(
         *_variants_without_march(declared),
         *_variants_with_march(planner, flown, names, priors),
     ]
-    return [InstrumentVariant(kind, change, e.sigma(planner.wanted)) for kind, change, e in every]
+    return [InstrumentVariant(kind, change, e.sigma(planner.targets)) for kind, change, e in every]
 
 
 def _variants_without_march(declared: Experiment) -> Iterator[tuple[str, str, Experiment]]:

@@ -111,9 +111,9 @@ class Planner:
         self.design: Design = scenario.declared.design or Design()
         self.point = _point(scenario, self.design)
         self.effects = (*self.point.effects, *scenario.effects(self.point.name))
-        self.wanted = _wanted(scenario, self.design)
+        self.targets = _target_parameters(scenario, self.design)
         self.instruments = Instruments(self.point.sensors, scenario.declared.measurements.rate_hz)
-        named = {"parameters": self.wanted, "nuisance": self.design.nuisance or (), "prior": self.design.prior}
+        named = {"parameters": self.targets, "nuisance": self.design.nuisance or (), "prior": self.design.prior}
         for key, names in named.items():
             with error_context(f"{display_path(scenario.path)}, [design], {key}"):
                 self._check_names(tuple(names))
@@ -249,18 +249,18 @@ class Planner:
     def names(self, planned: PlannedFlight) -> tuple[str, ...]:
         """Names of the unknowns: the wanted parameters, and the nuisances that the planned flight affects."""
         if self.design.nuisance is not None:
-            return tuple(dict.fromkeys((*self.wanted, *self.design.nuisance)))
+            return tuple(dict.fromkeys((*self.targets, *self.design.nuisance)))
         assert self.point.ratio is not None
         derivatives = [
             f"ratio.d_{s}" for s, axis in zip(SHORT_NAMES, self.point.ratio.axes, strict=True) if len(axis) > 1
         ]
         constant = constant_variables(derivatives, [self.record(planned, self.instruments)[0]])
-        return tuple(dict.fromkeys((*self.wanted, *(n for n in derivatives if n not in constant), *NUISANCE)))
+        return tuple(dict.fromkeys((*self.targets, *(n for n in derivatives if n not in constant), *NUISANCE)))
 
     def priors(self, names: Sequence[str], planned: PlannedFlight) -> dict[str, float]:
         """Standard deviations before the flight: as declared, and of unwanted derivatives those of the table."""
         condition = _mean_condition(planned, self.design)
-        table = {n: s for n, s in self._table_sigma(condition).items() if n in names and n not in self.wanted}
+        table = {n: s for n, s in self._table_sigma(condition).items() if n in names and n not in self.targets}
         return table | self.design.prior
 
     def _table_sigma(self, condition: FloatArray) -> dict[str, float]:
@@ -335,7 +335,7 @@ def _point(scenario: Scenario, design: Design) -> ControlPoint:
     raise InputError(f"{scenario.path}: {points[0].name} has no thermocouple; choose a control point with one")
 
 
-def _wanted(scenario: Scenario, design: Design) -> tuple[str, ...]:
+def _target_parameters(scenario: Scenario, design: Design) -> tuple[str, ...]:
     if design.parameters is not None:
         return tuple(dict.fromkeys(design.parameters))
     names = tuple(dict.fromkeys(n for m in scenario.declared.trajectory.manoeuvre for n in ESTIMATED_BY[m.kind]))

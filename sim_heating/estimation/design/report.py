@@ -69,14 +69,14 @@ class DesignResult:
     fitted: tuple[RepeatedFits, Experiment] | None
 
     def __repr__(self) -> str:
-        bounds = zip(self.wanted, self.search.best_experiment.sigma(self.wanted), strict=True)
+        bounds = zip(self.targets, self.search.best_experiment.sigma(self.targets), strict=True)
         sigmas = ", ".join(f"sigma({name})={sigma:.2g}" for name, sigma in bounds)
         return f"<DesignResult of {self.planner.point.name}: {sigmas}; {len(self.search.designs)} designs>"
 
     @property
-    def wanted(self) -> tuple[str, ...]:
+    def targets(self) -> tuple[str, ...]:
         """Parameters that the manoeuvres are to estimate."""
-        return self.planner.wanted
+        return self.planner.targets
 
     @cached_property
     def credibility(self) -> Statement:
@@ -127,7 +127,7 @@ def _check_with_source(planner: Planner, result: DesignSearchResult) -> SourceCh
     if source == SEARCH_TRAJECTORY["source"]:
         return None
     planned, best = (planner.fly(p.manoeuvres, searched=False) for p in (result.planned, result.best))
-    sigma = [planner.experiment(p, result.names, result.priors).sigma(planner.wanted) for p in (planned, best)]
+    sigma = [planner.experiment(p, result.names, result.priors).sigma(planner.targets) for p in (planned, best)]
     return SourceCheck(source, planned, sigma[0], best, sigma[1])
 
 
@@ -147,7 +147,7 @@ def _repeat_fits(
 
 def summary(designed: DesignResult) -> dict[str, Any]:
     """The contents of design.json."""
-    result, names, declared = designed.search, designed.wanted, designed.planner.design
+    result, names, declared = designed.search, designed.targets, designed.planner.design
     planned, best = result.planned_experiment, result.best_experiment
     return {
         "format": "design/1",
@@ -205,7 +205,7 @@ def _check_summary(designed: DesignResult) -> dict[str, Any] | None:
         return None
     pairs = {"planned": (checked.planned, checked.planned_sigma), "optimal": (checked.best, checked.best_sigma)}
     return {"source": checked.source} | {
-        which: {"sigma": _by_name(designed.wanted, sigma), "keeps_limits": flown.feasible, "margins": flown.margins}
+        which: {"sigma": _by_name(designed.targets, sigma), "keeps_limits": flown.feasible, "margins": flown.margins}
         for which, (flown, sigma) in pairs.items()
     }
 
@@ -217,8 +217,8 @@ def _fit_summary(designed: DesignResult) -> dict[str, Any] | None:
     return {
         "fits": len(fits.error),
         "failed": fits.failed,
-        "rms_error": _by_name(designed.wanted, fits.rms_error(designed.wanted)),
-        "predicted": _by_name(designed.wanted, experiment.sigma(designed.wanted)),
+        "rms_error": _by_name(designed.targets, fits.rms_error(designed.targets)),
+        "predicted": _by_name(designed.targets, experiment.sigma(designed.targets)),
     }
 
 
@@ -290,7 +290,11 @@ def design_page(designed: DesignResult, folder: Path) -> Page:
     """The report of a design as a page; its pictures are in a folder."""
     contents = summary(designed)
     bounds = replace(bounds_table(designed, designed.planner.design.flights), title="One standard deviation.")
-    columns = [Column("instruments"), Column("what", is_text=True), *(Column(n, format=".3g") for n in designed.wanted)]
+    columns = [
+        Column("instruments"),
+        Column("what", is_text=True),
+        *(Column(n, format=".3g") for n in designed.targets),
+    ]
     base = designed.instruments[0].sigma
     rows = [
         [v.kind, v.change, *(_bound(sigma, declared) for sigma, declared in zip(v.sigma, base, strict=True))]
@@ -378,12 +382,12 @@ def _around_window(
 @replaced_if_undrawable
 def draw_sweeps(path: Path, designed: DesignResult) -> None:
     """Draw the bounds along each varied number over those of the optimal design; open marks exceed a limit."""
-    sweeps, best = designed.sweeps, designed.search.best_experiment.sigma(designed.wanted)
+    sweeps, best = designed.sweeps, designed.search.best_experiment.sigma(designed.targets)
     columns = min(3, len(sweeps))
     rows = -(-len(sweeps) // columns)
     figure, axes = new_figure(3.9 * columns, 3.2 * rows + 0.6, rows, columns, sharey=True, squeeze=False)
     for a, sweep in zip(axes.ravel(), sweeps, strict=False):
-        for k, name in enumerate(designed.wanted):
+        for k, name in enumerate(designed.targets):
             y, color = sweep.sigma[:, k] / best[k], f"C{k}"
             a.plot(sweep.value, y, color=color, linewidth=1.2, label=name)
             for kept, face in ((True, color), (False, "white")):
@@ -410,12 +414,12 @@ def draw_sweeps(path: Path, designed: DesignResult) -> None:
 def draw_instruments(path: Path, designed: DesignResult) -> None:
     """Draw the bounds with other instruments over those with the declared ones."""
     base, others = designed.instruments[0].sigma, designed.instruments[1:]
-    figure, axes = new_figure(8.5, 0.33 * len(others) * max(1, len(designed.wanted) * 0.7) + 1.8, 1)
+    figure, axes = new_figure(8.5, 0.33 * len(others) * max(1, len(designed.targets) * 0.7) + 1.8, 1)
     height = 0.8 / len(base)
     rows = np.arange(len(others))[::-1]
     ratio = np.array([v.sigma / base for v in others])
     highest = 1.15 * float(np.max(ratio[np.isfinite(ratio) & (ratio < 10.0)], initial=1.0))
-    for k, name in enumerate(designed.wanted):
+    for k, name in enumerate(designed.targets):
         shown = np.where(ratio[:, k] < highest, ratio[:, k], highest)
         axes[0].barh(rows - k * height, shown, height, color=f"C{k}", label=name)
         for row, value, at in zip(rows, ratio[:, k], shown, strict=True):

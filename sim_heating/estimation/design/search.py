@@ -19,7 +19,7 @@ from scipy.stats import qmc
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.estimation.design.information import Experiment, check_wanted, design_criterion
+from sim_heating.estimation.design.information import Experiment, check_identified, design_criterion
 from sim_heating.estimation.design.planned_flight import PlannedFlight, Planner
 from sim_heating.estimation.inference.observability import constant_variables
 from sim_heating.inputs.scenario import DesignVariable
@@ -99,14 +99,14 @@ class DesignSearch:
                 "change it, or [trajectory.stop]"
             )
         # checked on the planned flight: the search would otherwise compare bounds that are all infinite
-        constant = constant_variables(planner.wanted, [planner.record(self.planned, planner.instruments)[0]])
+        constant = constant_variables(planner.targets, [planner.record(self.planned, planner.instruments)[0]])
         if constant:
             raise InputError(*(f"{planner.scenario.path}: {name}: {reason}" for name, reason in constant.items()))
         self.names = planner.names(self.planned)
         self.priors = planner.priors(self.names, self.planned)
         self.planned_experiment = planner.experiment(self.planned, self.names, self.priors)
-        check_wanted(self.planned_experiment, planner.wanted)
-        self.planned_covariance = self.planned_experiment.covariance(planner.wanted)
+        check_identified(self.planned_experiment, planner.targets)
+        self.planned_covariance = self.planned_experiment.covariance(planner.targets)
         self.designs: list[TriedDesign] = []
         self.best: tuple[float, PlannedFlight, Experiment] | None = None
 
@@ -141,13 +141,13 @@ class DesignSearch:
     def evaluate(self, x: FloatArray) -> TriedDesign:
         """Fly a design, and find its bounds if it keeps the limits."""
         flown = self.planner.fly(self.manoeuvres_at(x))
-        unknown = np.full(len(self.planner.wanted), np.nan)
+        unknown = np.full(len(self.planner.targets), np.nan)
         if not flown.feasible:
             # graded by the excess, so that the simplex finds its way back to designs within the limits
             tried = TriedDesign(x, INFEASIBLE + _limit_excess(flown), False, unknown)
         else:
             experiment = self.planner.experiment(flown, self.names, self.priors)
-            covariance = experiment.covariance(self.planner.wanted)
+            covariance = experiment.covariance(self.planner.targets)
             value = min(design_criterion(self.design.criterion, covariance, self.planned_covariance), INFEASIBLE)
             tried = TriedDesign(x, value, True, np.sqrt(np.diag(covariance)))
             if self.best is None or value < self.best[0]:
@@ -216,10 +216,10 @@ class DesignSearch:
             flights = [
                 self.planner.fly(self.manoeuvres_at(np.where(np.arange(len(best)) == k, x, best))) for x in values
             ]
-            sigma = np.full((len(values), len(self.planner.wanted)), np.nan)
+            sigma = np.full((len(values), len(self.planner.targets)), np.nan)
             for i, flown in enumerate(flights):
                 if "manoeuvres reached" not in flown.margins:
-                    sigma[i] = self.planner.experiment(flown, self.names, self.priors).sigma(self.planner.wanted)
+                    sigma[i] = self.planner.experiment(flown, self.names, self.priors).sigma(self.planner.targets)
             sweeps.append(BoundsSweep(v, values, sigma, np.array([f.feasible for f in flights])))
         return sweeps
 

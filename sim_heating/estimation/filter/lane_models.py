@@ -114,8 +114,8 @@ class LaneModels:
     def write(self, i: int, parameters: Sequence[float], d: float, blocks: Sequence[FloatArray]) -> None:
         """Give the lanes of point number i its parameters and a ratio disturbance.
 
-        parameters     : (parameter,), each in its unit;  d : [-]
-        blocks : states of the perturbed lanes that receive them
+        parameters : (parameter,), each in its unit;  d : [-]
+        blocks     : states of the perturbed lanes that receive them
         """
         nominal, perturbed, changes = self._lanes_of[i]
         stack, heating = self._packed[i].rows(parameters, d, changes)

@@ -104,7 +104,7 @@ class PointReadings(NamedTuple):
     direct: FloatArray
 
 
-def own_readings(readings: PointReadings, rows: IntArray, first: int, parameters: int) -> PointReadings:
+def readings_of_filter(readings: PointReadings, rows: IntArray, first: int, parameters: int) -> PointReadings:
     """Readings of the points of one filter, by its own numbers of the points.
 
     readings : of the points of several filters;  rows : of those of this filter

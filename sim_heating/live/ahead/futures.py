@@ -54,7 +54,7 @@ class FlownPath:
         """(time,) conditions at times of the flight [s]; those of its ends beyond them."""
         return {n: np.interp(time_s, self.time_s, column) for n, column in self.columns.items()}
 
-    def place_s(self, now: Mapping[str, float]) -> float:
+    def matching_time_s(self, now: Mapping[str, float]) -> float:
         """Time of the flight [s] at which it has the velocity of a frame; the nearest in altitude of several.
 
         now : columns of the frame
@@ -194,7 +194,7 @@ class Futures:
 
     def trim(self, frame: Frame) -> dict[str, float]:
         """Differences of the control surfaces from the planned flight, which stay [deg]."""
-        there = self.planned.at(np.array([self.planned.place_s(frame.values)]))
+        there = self.planned.at(np.array([self.planned.matching_time_s(frame.values)]))
         return {
             n: frame.values[n] - float(there[n][0])
             for n in SURFACES
@@ -206,7 +206,7 @@ class Futures:
 
         trim : differences of the control surfaces that stay [deg]
         """
-        begin = path.place_s(frame.values)
+        begin = path.matching_time_s(frame.values)
         there = {n: float(v[0]) for n, v in path.at(np.array([begin])).items() if n != "time_s"}
         stays, returns = dict(trim), {}
         apart = {n: frame.values.get(n, 0.0) - there[n] for n in there if n in frame.values or n == "jets"}

@@ -17,7 +17,7 @@ from sim_heating.estimation.filter.online import (
     PointReadings,
     Prior,
     no_readings,
-    own_readings,
+    readings_of_filter,
 )
 from sim_heating.estimation.inference.likelihood import middle_K
 from sim_heating.live.filtering.estimates import LiveOptions
@@ -80,7 +80,7 @@ class StepMarch:
             first = k * LANES
             history = histories[first : first + LANES]
             of_filter = np.flatnonzero((readings.point >= first) & (readings.point < first + LANES))
-            lane_readings = own_readings(readings, of_filter, first, f.most_parameters)
+            lane_readings = readings_of_filter(readings, of_filter, first, f.most_parameters)
             if isinstance(f, LaggingFilter):
                 lane_readings = f.behind_lags(time_s, history, lane_readings, number[of_filter])
 

@@ -50,13 +50,13 @@ class SpikeGate:
 
         after_s, until_s : begin and end of the step [s]
         """
-        readings = timeline.words_between(after_s, until_s)
+        readings = timeline.readings_between(after_s, until_s)
         rows = np.zeros((len(readings), 4))
         if readings:
             rows[:, :3] = readings
         jumping = {n for t, n in timeline.jumps if after_s - NEAR_S < t <= until_s}
         if jumping:
-            near = timeline.words_between(after_s - NEAR_S, until_s + NEAR_S)
+            near = timeline.readings_between(after_s - NEAR_S, until_s + NEAR_S)
             spikes = suspected([w for w in near if w[1] in jumping], after_s, self.gate_K)
             for k, (t, n, _) in enumerate(readings):
                 rows[k, 3] = (t, n) in spikes

@@ -46,7 +46,7 @@ class Start:
         wait_s = self._options.lateness_s + (0.0 if self._options.start == "declared" else start_s)
         if timeline.newest_s < first.time_s + wait_s:
             return None
-        read_K = self._sensors.first_readings(timeline.words_between(-math.inf, first.time_s + start_s))
+        read_K = self._sensors.first_readings(timeline.readings_between(-math.inf, first.time_s + start_s))
         try:
             vectors = self._source.conditions(first)
         except InputError as error:

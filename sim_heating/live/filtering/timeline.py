@@ -490,7 +490,7 @@ class Timeline:
         """Frames later than a time [s], in order."""
         return self.frames[bisect_right(self.frames_s, time_s) :]
 
-    def words_between(self, after_s: float, until_s: float) -> list[Word]:
+    def readings_between(self, after_s: float, until_s: float) -> list[Word]:
         """Readings later than one time and up to another [s], in order."""
         first = bisect_left(self.readings, (math.nextafter(after_s, math.inf), -1, -math.inf))
         return self.readings[first : bisect_left(self.readings, (math.nextafter(until_s, math.inf), -1, -math.inf))]

@@ -288,10 +288,10 @@ def damage_of(path: str | os.PathLike[str]) -> list[str]:
     file = journal_file(path)
     with _opened(file) as stream:
         skipped = [piece for piece in _pieces(stream, _header(file, stream)[1]) if isinstance(piece, Skipped)]
-    return told_damage(file, skipped)
+    return damage_lines(file, skipped)
 
 
-def told_damage(path: Path, skipped: Sequence[Skipped]) -> list[str]:
+def damage_lines(path: Path, skipped: Sequence[Skipped]) -> list[str]:
     """A line for each stretch that was skipped, and for those beyond the first ones together."""
     name, unlisted = display_path(path), skipped[MOST_TOLD:]
     lines = [f"{name}: {piece.text}" for piece in skipped[:MOST_TOLD]]
@@ -444,7 +444,7 @@ class Journal:
                   them; its link goes on with it and writes them
     raises  : InputError where the file holds a flight that has ended, or one of another link, or cannot be written
 
-    `is_resumed` is whether it was gone on with, and `told` the lines on what of it could not be read. `problem` is one
+    `is_resumed` is whether it was gone on with, and `notes` the lines on what of it could not be read. `problem` is one
     line while the disk takes nothing, else "". `dropped` counts entries that did not fit in memory meanwhile. `close`
     it in the end.
     """
@@ -461,7 +461,7 @@ class Journal:
         has_results: bool = True,
     ) -> None:
         self.path, self.problem = path, ""
-        self.told: list[str] = []
+        self.notes: list[str] = []
         self._fsync_s = fsync_s
         self._waiting = _Waiting()
         self._retry_at = 0.0
@@ -513,13 +513,13 @@ class Journal:
         if head.is_closed or _is_empty(head):
             return False
         if head.means is None and means is not None:
-            self.told.append(
+            self.notes.append(
                 f"{display_path(path)}: is of an earlier version, which kept the link file alone; whether its vehicle "
                 "or records have changed since is not known"
             )
         if head.skipped:
             aside = _set_aside(path)
-            self.told += [*told_damage(path, head.skipped), f"the damaged journal is kept as {display_path(aside)}"]
+            self.notes += [*damage_lines(path, head.skipped), f"the damaged journal is kept as {display_path(aside)}"]
         return True
 
     def append(self, body: bytes, source: int = 0, arrived_ns: int | None = None) -> None:

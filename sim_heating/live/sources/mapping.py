@@ -239,7 +239,7 @@ class ConditionFields:
             self.notes.append(f"{', '.join(absent)} not sent: {'; '.join(derived.notes)}{grade}")
         return True
 
-    def whole(self, latest: Mapping[str, float]) -> dict[str, float]:
+    def complete(self, latest: Mapping[str, float]) -> dict[str, float]:
         """All columns of a frame: those that came, constants, and those that follow.
 
         raises : InputError where a column does not follow, as a density at a speed of 0
@@ -474,7 +474,7 @@ class FieldMapping:
         raises : InputError where one does not, such as a density at a speed of 0
         """
         try:
-            values = self._conditions.whole(latest)
+            values = self._conditions.complete(latest)
         except InputError as error:
             raise InputError(f"{error}; no frame at {time_s:g} s") from None
         return Frame(time_s, values, self._conditions.is_of_model)

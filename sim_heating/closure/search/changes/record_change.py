@@ -248,7 +248,7 @@ def _evaluate_together(models: Sequence[_ChangedModel], vectors: Sequence[FloatA
     """Evaluation of each model at its own vector, all marched side by side; NaN likelihood where a march failed."""
     needed = [_marches(model, vector) for model, vector in zip(models, vectors, strict=True)]
     # several models may need the same march: that of the record as declared
-    flat = {id(p): (p, v) for pairs in needed for p, v in pairs or () if not p.has_cached(v)}
+    flat = {id(p): (p, v) for pairs in needed for p, v in pairs or () if not p.marches.has(v)}
     marched = JointMarch([p for p, _ in flat.values()]).march([v for _, v in flat.values()]) if flat else []
     failed = {key for key, done in zip(flat, marched, strict=True) if not done}
     return [
