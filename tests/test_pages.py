@@ -53,6 +53,49 @@ def test_links_of_a_page_lead_somewhere(page: Path):
         assert not anchor or anchor in anchors(target), f"{link}: no such heading"
 
 
+QUESTIONS = {
+    "how do I install it": "pip install",
+    "what does exit status 2 mean": "2: the input is wrong",
+    "how do I make a record of my own CSV": "# A record from your own temperatures",
+    "how do I make a vehicle": "sim-heating new vehicle",
+    "how do I fly a scenario": "sim-heating run",
+    "how do I estimate a derivative": "sim-heating estimate",
+    "how do I find what a model lacks": "sim-heating close-loop",
+    "what does partly mean": "**partly**",
+    "what is a p-value": "**p-value**",
+    "is a share a probability": "No probability.",
+    "what is the noise floor": "**noise floor**",
+    "how do I write an estimate into tables": "sim-heating update-tables",
+    "how wide is a prediction": "--bands",
+    "how do I disperse an entry": "[dispersion]",
+    "how do I limit the load of an optimal entry": "normal_load_g",
+    "how do I export an FMU": "sim-heating fmu export",
+    "how do I follow a flight live": "sim-heating live",
+    "how do I use a sampler": "to_problem()",
+    "how do I repeat a result": "sim-heating reproduce",
+    "how do I use tables of another program": "DAVE-ML",
+}
+"""Questions of a user, fixed beforehand, and words of their answers."""
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_a_question_is_answered_within_two_links_of_the_front_page(question: str):
+    within = {DOCS / "index.md"}
+    for _ in range(2):
+        within |= {target for page in set(within) for _, target, _ in links(page) if target in PAGES}
+    assert any(QUESTIONS[question] in page.read_text() for page in within)
+
+
+HOW_TO_WORDS = 1200
+LONG_GUIDES = {"scenarios_to_estimates"}
+"""Guides that are still longer; none is added."""
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "how_to").glob("*.md")), ids=lambda p: p.stem)
+def test_a_guide_is_short(page: Path):
+    assert (len(page.read_text().split()) > HOW_TO_WORDS) == (page.stem in LONG_GUIDES)
+
+
 def test_pictures_are_shown_on_a_page():
     shown = {target for page in (*TOP, *PAGES) for _, target, _ in links(page)}
     pictures = set((DOCS / "images").glob("*.png"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,15 +26,39 @@ if TYPE_CHECKING:
     from sim_heating.base.progress import Progress
     from sim_heating.base.report.table import Table
     from sim_heating.inputs.scenario import Scenario
+    from sim_heating.planning.bands import Member
     from sim_heating.simulation.predict import Prediction
 
 SHOWN_NAMES = 4
 """Control points that a line names; of the others it gives the number."""
 
 
+BANDS = click.option("--bands", is_flag=True, help="95 % bands of the temperatures, by all that is uncertain")
+MEMBERS = click.option(
+    "--member",
+    "members",
+    type=(PATH, click.FloatRange(min=0.0, min_open=True)),
+    multiple=True,
+    metavar="ESTIMATE WEIGHT",
+    help="an estimate.json that the bands take values and covariance from, with its weight; repeat for several",
+)
+
+
+def _members(members: tuple[tuple[Path, float], ...], bands: bool) -> Sequence[Member]:
+    """Members of the bands; raises InputError for a member without bands."""
+    from sim_heating.estimation.report.estimate_file import read_estimate
+    from sim_heating.planning.bands import DECLARED, Member
+
+    if members and not bands:
+        raise InputError("--member: is for --bands; add that option")
+    return tuple(Member(read_estimate(path), weight) for path, weight in members) or DECLARED
+
+
 @click.command()
 @click.argument("scenario", type=PATH)
 @OUT
+@BANDS
+@MEMBERS
 @click.option(
     "--plot-points",
     callback=comma_list,
@@ -42,7 +66,14 @@ SHOWN_NAMES = 4
     help="control points that are drawn, separated by commas; default: all",
 )
 @ROOT
-def run(scenario: Path, out: Path, plot_points: tuple[str, ...] | None, root: Path | None) -> None:
+def run(
+    scenario: Path,
+    out: Path,
+    bands: bool,
+    members: tuple[tuple[Path, float], ...],
+    plot_points: tuple[str, ...] | None,
+    root: Path | None,
+) -> None:
     """Fly a scenario: trajectory, heating, temperatures, plots."""
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
@@ -59,12 +90,18 @@ def run(scenario: Path, out: Path, plot_points: tuple[str, ...] | None, root: Pa
     )
 
     loaded = load_scenario(scenario, root=root)
+    of_bands = _members(members, bands) if bands or members else ()
     if plot_points is not None:
         require_points(plot_points, loaded.names, "--plot-points")
     require_writable(out, "run", expected=files_of(loaded), inputs=loaded.files)
     with progress_line(loaded.title) as progress:
         flight = fly_beside(loaded, load_writers, progress)
         result = run(loaded, flight=flight, progress=progress)
+        if bands:
+            from sim_heating.planning.bands import with_bands
+
+            progress(0.9, "marching what is uncertain")
+            result = with_bands(result, of_bands)
         names = write_run(result, out, points=plot_points, progress=progress)
     contents = summary(result)
     _print_with_margins(run_table(loaded.title, contents, rmse_by_point(result)))
@@ -272,9 +309,17 @@ def _scenario_folder() -> Path:
 @OUT
 @click.option("--vehicle", help="take ratio tables and effects of this vehicle in place of the records' own tables")
 @click.option("--without", callback=comma_list, help="declared `transition`, `catalysis` or both (commas): left out")
+@BANDS
+@MEMBERS
 @ROOT
 def predict(
-    records: tuple[Path, ...], out: Path, vehicle: str | None, without: tuple[str, ...] | None, root: Path | None
+    records: tuple[Path, ...],
+    out: Path,
+    vehicle: str | None,
+    without: tuple[str, ...] | None,
+    bands: bool,
+    members: tuple[tuple[Path, float], ...],
+    root: Path | None,
 ) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
     from sim_heating.base.files import require_writable
@@ -303,11 +348,19 @@ def predict(
         for record in loaded
     ]
 
+    of_bands = _members(members, bands) if bands or members else ()
+
     def predicted(progress: Progress) -> list[Prediction]:
         predictions = []
         for i, (record, (model, flow)) in enumerate(zip(loaded, models, strict=True)):
             progress(i / len(loaded), f"marching {record.name}")
-            prediction = predict_record(record, model.without_effects(absent), flow=flow)
+            model = model.without_effects(absent)
+            if bands:
+                from sim_heating.planning.bands import predict_with_band
+
+                prediction = predict_with_band(record, of_bands, model, flow)
+            else:
+                prediction = predict_record(record, model, flow=flow)
             _ = prediction.credibility  # kept with it: kernels are then loaded in one process alone
             predictions.append(prediction)
         return predictions

@@ -65,6 +65,7 @@ from sim_heating.estimation.record_fit import (
     marched_from,
     sensor_errors,
 )
+from sim_heating.estimation.report.posterior import Posterior
 from sim_heating.estimation.unknowns import FitOptions, require_estimated
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import RatioTable
@@ -304,6 +305,15 @@ class FitResult:
         corrected, white = self.bounds.covariance[at, at], self.bounds.white[at, at]
         is_bounded = np.isfinite(corrected) and np.isfinite(white) and corrected > 0.0 and white > 0.0
         return profile(self.problem, self.fit, name, float(corrected / white) if is_bounded else 1.0)
+
+    def to_problem(self) -> Posterior:
+        """The posterior of the parameters for a sampler, beside `profile`.
+
+        raises : InputError for a fit with process noise, whose likelihood is that of the filter
+        """
+        if self.innovations is not None:
+            raise InputError("to_problem: a fit with process noise has no likelihood for a sampler; fit without")
+        return Posterior(self.problem, self.fit.values, self.bounds.covariance)
 
     def samples(self) -> list[PredictedSamples]:
         """The fitted channels at the values found [K], as the march or the filter predicts them.

@@ -49,6 +49,22 @@ class ReferenceHeating(Declared):
         return self
 
 
+class FlightLimits(Declared):
+    """Limits of a flight beside those of temperature; one that is absent is not limited."""
+
+    dynamic_pressure_Pa: float | None = Field(default=None, gt=0.0, description="highest dynamic pressure in Pa")
+    normal_load_g: float | None = Field(default=None, gt=0.0, description="highest aerodynamic load along body z, in g")
+    alpha_rate_deg_s: float | None = Field(default=None, gt=0.0, description="fastest change of alpha, deg/s")
+    bank_rate_deg_s: float | None = Field(default=None, gt=0.0, description="fastest change of bank, deg/s")
+
+
+class DeclaredFlightLimits(FlightLimits):
+    """Limits of a vehicle's flight, with their source."""
+
+    source: str
+    confidence: str
+
+
 class VehicleFile(Declared):
     """Contents of vehicle.toml.
 
@@ -68,6 +84,7 @@ class VehicleFile(Declared):
     )
     transition: Transition | None = None
     catalysis: dict[str, Catalysis] = Field(default={}, description="by material of an outermost layer")
+    flight_limits: DeclaredFlightLimits | None = None
     source: str
     confidence: str
     note: str = ""

@@ -21,6 +21,31 @@ from sim_heating.march.surface_heat import SurfaceHeat, surface_heat
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh, halve_elements
 
+BAND_PROBABILITY = 0.95
+"""Probability that a temperature lies within its band [-]."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """Where temperatures lie with a probability of 95 % at each time, by all that is uncertain.
+
+    low_K, high_K : (channel, time) of surface, bondline and sensors in their order [K]
+    sources       : standard deviation of the surface at its hottest time that comes from each source [K]
+    """
+
+    low_K: FloatArray
+    high_K: FloatArray
+    sources: Mapping[str, float]
+
+    def columns(self, sensors: Sequence[str] = ()) -> dict[str, FloatArray]:
+        """(time,) columns `surface_low_K`, `surface_high_K` and so on [K]; sensors : column of each, in their order.
+
+        Quantiles of planning/bands.py, whose model error is docs/theory/model_error.md, equation 1.
+        """
+        names = [c.removesuffix("_K") for c in ("surface_K", "bondline_K", *sensors)]
+        ends = (("low", self.low_K), ("high", self.high_K))
+        return {f"{name}_{end}_K": T[i] for i, name in enumerate(names) for end, T in ends}
+
 
 @dataclass(frozen=True)
 class PointHistory:
@@ -35,6 +60,7 @@ class PointHistory:
     nodes      : number of nodes of the mesh
     mesh_error_K : estimate of the largest error that the mesh leaves in a temperature [K]; None where a march on the
                    refined mesh did not converge
+    band         : where the temperatures lie with 95 %; None where none was asked for
     """
 
     name: str
@@ -46,6 +72,7 @@ class PointHistory:
     heat: SurfaceHeat
     nodes: int
     mesh_error_K: float | None
+    band: Band | None = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +149,7 @@ def _point_histories(
         of_point = out[:, column : column + count].T
         h_ref = flown[i]["h_ref_kg_m2_s"]
         ratio = np.divide(films[:, i], h_ref, out=np.full(len(time), np.nan), where=h_ref > 0.0)
-        sensed, nodes = _sensed(model, time, of_point[2:]), ensemble.meshes[i].nodes
+        sensed, nodes = sensed_temperatures(model, time, of_point[2:]), ensemble.meshes[i].nodes
         heat = surface_heat(model, flown[i], of_point[0], entering[:, i], leaving[:, i], surroundings[:, i])
         points.append(
             PointHistory(model.name, time, of_point[0], of_point[1], sensed, ratio, heat, nodes, mesh_errors_K[i])
@@ -131,8 +158,13 @@ def _point_histories(
     return points
 
 
-def _sensed(model: PointModel, time: FloatArray, temperature_K: FloatArray) -> FloatArray:
-    """(sensor, time) temperatures of the thermocouples [K], which start at that of their places."""
+def sensed_temperatures(model: PointModel, time: FloatArray, temperature_K: FloatArray) -> FloatArray:
+    """(sensor, time) temperatures of the thermocouples [K], which start at that of their places.
+
+    temperature_K : (sensor, time) at their places [K]
+
+    Derived in docs/theory/equations_march.md, equation 18.
+    """
     if not any(model.lags_s):
         return temperature_K
     sensors = zip(temperature_K, model.lags_s, strict=True)
@@ -240,7 +272,19 @@ def point_summary(
         "negative_ratio_s": negative_ratio_s(history),
         "nodes": history.nodes,
         "mesh_error_K": history.mesh_error_K,
+        **_summary_of_band(history, surface_limit, bondline_limit),
     }
+
+
+def _summary_of_band(history: PointHistory, *limits: float | None) -> dict[str, object]:
+    """Highest temperatures of the 95 % band, margins to the limits at them, and sources; nothing without a band."""
+    if history.band is None:
+        return {}
+    found: dict[str, object] = {}
+    for name, high, limit in zip(("surface", "bondline"), history.band.high_K, limits, strict=False):
+        found[f"peak_{name}_high_K"] = float(np.max(high))
+        found[f"{name}_margin_at_band_K"] = None if limit is None else limit - float(np.max(high))
+    return {"band": {**found, "sources_K": dict(history.band.sources)}}
 
 
 def rising_bondlines(points: Mapping[str, Mapping[str, Any]], shown: int | None = None) -> list[str]:

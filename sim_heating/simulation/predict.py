@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
@@ -24,6 +25,7 @@ from sim_heating.inputs.points import conditions_of_record, flow_of_record, poin
 from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
 from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature, lags_s
 from sim_heating.march.history import (
+    BAND_PROBABILITY,
     PointHistory,
     TableExcursion,
     march_points,
@@ -80,6 +82,20 @@ class Prediction:
         """What supports the prediction, factor by factor."""
         return assess(self.facts())
 
+    @property
+    def within_band(self) -> float | None:
+        """Share of the readings of used sensors within the band, their noise included; None without a band."""
+        band, record = self.history.band, self.record
+        if band is None:
+            return None
+        used = [i for i, s in enumerate(record.sensors) if s.used]
+        noise = np.array([record.sensors[i].noise_sigma_K or 0.0 for i in used])[:, np.newaxis]
+        low, high = (x[2:][used] for x in (band.low_K, band.high_K))
+        read = self.history.sensors_K[used] + self.residual_K[used]
+        known = np.isfinite(read) & np.isfinite(low)
+        half = np.hypot(0.5 * (high - low), ndtri(0.5 + 0.5 * BAND_PROBABILITY) * noise)
+        return float(np.mean(np.abs(read - 0.5 * (low + high))[known] <= half[known])) if np.any(known) else None
+
     def segment_errors(self) -> dict[str, Any]:
         """rmse_K, max_abs_K and n over the fit and the holdout segments, pooled over the used sensors; None where a
         segment holds no sample."""
@@ -117,7 +133,8 @@ class Prediction:
         record, fitted = self.record, self.record.fit_mask()
         names = [with_rmse(s.name, r, fitted) for s, r in zip(record.sensors, self.residual_K, strict=True)]
         title = f"{record.name}: declared model\n{record.declared.title or record.declared.control_point}"
-        return draw_prediction(path, title, self.history.time_s, names, record.temperatures_K(), self.indicated_K)
+        readings = record.temperatures_K()
+        return draw_prediction(path, title, self.history.time_s, names, readings, self.indicated_K, self.history.band)
 
 
 def predict(
@@ -196,9 +213,28 @@ def summary(prediction: Prediction) -> dict[str, object]:
         "outside_table": [vars(o) for o in prediction.outside],
         "beyond_reference": beyond_range(record.declared.heating.reference, record.conditions),
         "negative_ratio_s": negative_ratio_s(prediction.history),
+        **band_summary(prediction),
         "nodes": prediction.history.nodes,
         "mesh_error_K": prediction.history.mesh_error_K,
         "credibility": prediction.credibility.as_json(),
+    }
+
+
+def band_summary(prediction: Prediction) -> dict[str, object]:
+    """`band` of summary.json: share of the readings within it, its half width, and what it comes from."""
+    band = prediction.history.band
+    if band is None:
+        return {}
+    half = 0.5 * (band.high_K - band.low_K)
+    return {
+        "band": {
+            "probability": BAND_PROBABILITY,
+            "within": prediction.within_band,
+            "half_width_K": {
+                s.name: float(np.nanmax(w)) for s, w in zip(prediction.record.sensors, half[2:], strict=True)
+            },
+            "sources_K": dict(band.sources),
+        }
     }
 
 

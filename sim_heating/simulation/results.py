@@ -75,13 +75,20 @@ LONG_NAMES = {
     "bondline_margin_K": "limit of the bondline temperature less that temperature",
     "sensor_K": "temperature of the sensor, behind its lag, without noise and quantisation",
     "p_surface_Pa": "pressure at the surface of the control point",
+    **{
+        f"{name}_{end}_K": f"{word} end of the 95 % band of the temperature of the {name}"
+        for name in ("surface", "bondline", "sensor")
+        for end, word in (("low", "lower"), ("high", "upper"))
+    },
 }
 
 
 def write_temperatures_csv(path: Path, time_s: FloatArray, history: PointHistory, sensors: Sequence[Sensor]) -> None:
-    """Write temperatures.csv of one control point: time_s, surface_K, bondline_K, then one column a sensor."""
+    """Write temperatures.csv of one control point: time_s, surface_K, bondline_K, then one column a sensor; then the
+    ends of the 95 % band of each, where there is one."""
     columns = {"time_s": time_s, "surface_K": history.surface_K, "bondline_K": history.bondline_K}
     columns |= {s.column: values for s, values in zip(sensors, history.sensors_K, strict=True)}
+    columns |= {} if history.band is None else history.band.columns([s.column for s in sensors])
     write_csv(path, columns, {"time_s": ".10g"} | {name: ".4f" for name in columns if name != "time_s"})
 
 
@@ -119,6 +126,13 @@ def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float
         Column("margin", "bondline_margin_K", "+.0f", "K"),
     ]
     rows = [[name, *(point[c.key] for c in columns[1:])] for name, point in summary["control_points"].items()]
+    if any("band" in point for point in summary["control_points"].values()):
+        ends = ("surface", "bondline")
+        columns += [Column(f"{name} margin at the band", f"{name}_margin_at_band_K", "+.0f", "K") for name in ends]
+        bands = [point.get("band", {}) for point in summary["control_points"].values()]
+        rows = [
+            [*row, *(b.get(f"{name}_margin_at_band_K") for name in ends)] for row, b in zip(rows, bands, strict=True)
+        ]
     if rmse_K:
         columns.append(Column("RMSE against measured", "rmse_K", ".1f", "K"))
         rows = [[*row, rmse_K.get(row[0], "")] for row in rows]
@@ -175,10 +189,13 @@ def prediction_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
         Column("RMSE, holdout", "holdout_rmse_K", ".2f", "K"),
         Column("noise floor", "noise_floor_K", ".2f", "K"),
     ]
-    rows = [
+    rows: list[list[Any]] = [
         [s["record"], s["control_point"], *(s[k] and s[k]["rmse_K"] for k in ("fit", "holdout")), s["noise_floor_K"]]
         for s in summaries
     ]
+    if any("band" in s for s in summaries):
+        columns.append(Column("readings within the 95 % band", "within", ".3f"))
+        rows = [[*row, s.get("band", {}).get("within")] for row, s in zip(rows, summaries, strict=True)]
     return Table("Declared model against measurement", columns, rows)
 
 
@@ -225,6 +242,13 @@ def histories_dataset(
         np.concatenate([p.sensors_K for p in points]) if names else np.zeros((0, len(flown))),
         _attributes("sensor_K"),
     )
+    if points and all(p.band is not None for p in points):
+        bands = [p.band.columns() for p in points if p.band is not None]
+        data |= {key: (per_point, np.array([b[key] for b in bands]), _attributes(key)) for key in bands[0]}
+        if names:
+            for end in ("low", "high"):
+                of_sensors = np.concatenate([getattr(p.band, f"{end}_K")[2:] for p in points])
+                data[f"sensor_{end}_K"] = (("sensor", "time"), of_sensors, _attributes(f"sensor_{end}_K"))
     columns = {_netcdf_name(name): name for name in flown.names if name not in ("time_s", *film)}
     data |= {key: ("time", flown[name], _attributes(name)) for key, name in columns.items()}
     data |= {name: (per_point, values, _attributes(name)) for name, values in film.items()}

@@ -18,6 +18,8 @@ from sim_heating.planning.dispersion.flight import COMPLETED, LEFT_ATMOSPHERE, e
 from sim_heating.planning.dispersion.results import batches_of, evaluate, exact_slopes, notes_of
 from sim_heating.planning.dispersion.spec import DispersedInput
 from sim_heating.planning.dispersion.statistics import (
+    AdditiveModel,
+    additive_model,
     deviations,
     indices,
     probability,
@@ -197,7 +199,8 @@ def test_ishigamis_function_has_its_known_indices():
     rows = saltelli_rows(groups, 1, 4096, 0, 5 * 4096)
     x = (2.0 * ndtr(rows) - 1.0) * np.pi
     f = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
-    estimate = indices(f, 3, 0.95, 1)
+    nothing = AdditiveModel(np.zeros((0, 3)))
+    estimate = indices(f, groups, 0.95, 1, rows, nothing)
     np.testing.assert_allclose(estimate.first, [0.3139, 0.4424, 0.0], atol=0.02)
     np.testing.assert_allclose(estimate.total, [0.5576, 0.4424, 0.2437], atol=0.01)
     assert np.all((estimate.total_bounds[:, 0] < estimate.total) & (estimate.total < estimate.total_bounds[:, 1]))
@@ -205,6 +208,22 @@ def test_ishigamis_function_has_its_known_indices():
     other = sobol_indices(func={"f_A": blocks[:1], "f_B": blocks[1:2], "f_AB": blocks[2:, np.newaxis]}, n=4096)
     np.testing.assert_allclose(estimate.first, np.ravel(other.first_order), atol=2e-3)
     np.testing.assert_allclose(estimate.total, np.ravel(other.total_order), rtol=1e-3)
+
+
+def test_sixteen_index_flights_suffice_where_other_flights_explain_most():
+    """f = 3 z1 + z2 + z2^2 + z1 z3/10: variances 9, 1 + 2 and 0, and 0.01 of the first and third together."""
+
+    def f(z):
+        return 3.0 * z[:, 0] + z[:, 1] + z[:, 1] ** 2 + 0.1 * z[:, 0] * z[:, 2]
+
+    groups, main = [[0], [1], [2]], sobol_rows(3, 5, 0, 0, 64)
+    rows = saltelli_rows(groups, 5, 16, 0, 5 * 16)
+    alone = indices(f(rows), groups, 0.95, 1, rows, AdditiveModel(np.zeros((0, 3))))
+    helped = indices(f(rows), groups, 0.95, 1, rows, additive_model(main, f(main), np.zeros(3)))
+    V = 12.01
+    np.testing.assert_allclose(helped.first, np.array([9.0, 3.0, 0.0]) / V, atol=0.02)
+    np.testing.assert_allclose(helped.total, np.array([9.01, 3.0, 0.01]) / V, atol=0.02)
+    assert np.max(np.ptp(helped.total_bounds, axis=1)) < 0.2 * np.max(np.ptp(alone.total_bounds, axis=1))
 
 
 # Errors of ratio tables ---------------------------------------------------------------------------------------------

@@ -224,7 +224,11 @@ def test_the_shipped_entry_makes_a_study_of_an_optimal_entry_that_plan_solves() 
     planned = run("plan", "study/study.toml", "--out", "results")
     assert planned.exit_code == 0, planned.exception
     found = json.loads(Path("results/study.json").read_text())["optimal"]
-    assert found["status"].endswith("all limits are kept and none is active")
+    assert found["status"].endswith("; none is active")
+    assert "kept: V09T9527 surface" in found["status"]
+    assert {p["name"] for p in found["flight_limits"]} == {
+        "dynamic pressure", "normal load", "rate of alpha", "rate of bank"
+    }  # fmt: skip
     assert found["cross_range_deg"] > 20.0
 
 

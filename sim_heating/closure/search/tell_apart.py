@@ -7,7 +7,7 @@ flights, its log likelihood is expected to fall behind by
     D = min over x of  (d - S x)' W (d - S x) / 2 + x' M x / 2,    d = m_1 - m_2,
 
 W the inverse squares of the noise, rounding included, over the scale of the residuals where that is above 1. The odds
-are exp(D), of either model as the true one the smaller. Source: docs/how_to/closing_the_loop.md, section "Sets".
+are exp(D), of either model as the true one the smaller. Source: docs/theory/findings_judged.md, section "Sets".
 
 Flights are the present one again, with a change: another thermocouple, another recorder, or one manoeuvre more.
 Density, velocity and reference heating stay as they are in a manoeuvre, which is short against the flight.

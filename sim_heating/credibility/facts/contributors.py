@@ -15,7 +15,7 @@ priors.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,16 +88,12 @@ def peak_uncertainty(
     flown     : conditions with the reference heating of the point
     hottest_s : time of the highest surface temperature [s]; the sigma of the ratio table is that of its conditions
     """
-    varied = dict(_varied(model, flown, int(np.argmin(np.abs(flown.time_s - hottest_s)))))
-    models = [model, *varied.values()]
+    varied = dict(varied_models(model, flown, int(np.argmin(np.abs(flown.time_s - hottest_s)))))
     try:
-        mesh = meshes_on_flights([model], [flown], longest_step_s)[0][0]
-        ensemble = Ensemble(models, [mesh] * len(models), longest_step_s)
-        out = ensemble.march(flown.time_s, histories([flown] * len(models)), keep=ensemble.outputs())
+        marched = dispersed_temperatures(model, flown, [(m, flown) for m in varied.values()], longest_step_s)
     except RunError:  # with a perturbed parameter a step did not converge
         return None
-    width = 2 + len(model.depths_m)
-    peaks = np.max(out[:, ::width], axis=0)
+    peaks = np.max(marched[:, 0], axis=1)
     changes = {name: float(peaks[i] - peaks[0]) for i, name in enumerate(varied, start=1)}
     kept = {name: change for name, change in changes.items() if abs(change) > FEW_K}
     if not kept:
@@ -106,14 +102,36 @@ def peak_uncertainty(
     return combined(f"highest surface temperature of {model.name}", "K", float(peaks[0]), kept, method)
 
 
+def dispersed_temperatures(
+    model: PointModel,
+    flown: Conditions,
+    variants: Sequence[tuple[PointModel, Conditions]],
+    longest_step_s: float = 1.0,
+) -> FloatArray:
+    """Temperatures of a point and of its variants, side by side on the mesh of the point.
+
+    flown    : conditions of the point;  variants : models and conditions on the same times
+    returns  : (1 + variant, channel, time) of the surface, the bondline and the sensors' places [K]
+    raises   : RunError where a step did not converge
+    """
+    models, flights = zip((model, flown), *variants, strict=True)
+    mesh = meshes_on_flights([model], [flown], longest_step_s)[0][0]
+    ensemble = Ensemble(models, [mesh] * len(models), longest_step_s)
+    out = ensemble.march(flown.time_s, histories(flights), keep=ensemble.outputs())
+    return np.ascontiguousarray(out.T).reshape(len(models), -1, len(flown.time_s))
+
+
 def _variables(flown: Conditions) -> FloatArray:
     if not all(name in flown for name in RATIO_VARIABLES):
         return np.zeros((len(flown), len(RATIO_VARIABLES)))
     return np.stack([flown[name] for name in RATIO_VARIABLES], axis=1)
 
 
-def _varied(model: PointModel, flown: Conditions, hottest: int) -> Iterator[tuple[str, PointModel]]:
-    """Models with one parameter a standard deviation from its value, by the name of the parameter."""
+def varied_models(model: PointModel, flown: Conditions, hottest: int) -> Iterator[tuple[str, PointModel]]:
+    """Models with one parameter a standard deviation from its value, by the name of the parameter.
+
+    hottest : sample of the flight for which the sigma of the ratio table is taken
+    """
     at = _variables(flown)[hottest : hottest + 1]
     sigma = declared_sigma(model.ratio, at)
     ratio = declared_ratio(model.ratio, at)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 
 from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.block import LANES
 from sim_heating.estimation.inference.bounds import ChannelResiduals
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, scores
@@ -65,12 +66,10 @@ def model_error(
     first, last = record_fit.begin_s, float(record_fit.sample_s[-1])
     count = min(max(math.ceil((last - first) / SPACING_S) + 1, 2), MOST_KNOTS)
     knots = np.linspace(first, last, count)
-    heating = {n: flown[n] for n in ("h_ref_kg_m2_s", "q_add_W_m2") if n in flown}
-    scales = (1.0 + STEP * np.interp(time_s, knots, hat) for hat in np.eye(count))
     others = [] if flight is None else [flight.record(f) for f in np.eye(len(flight.directions))]
     histories = [
         flown,
-        *(flown.with_columns(**{n: scale * q for n, q in heating.items()}) for scale in scales),
+        *scaled_heating(flown, knots),
         *(conditions_of_record(other).at(time_s) for other in others),
     ]
     T = _marched_K(record_fit, values, [condition_history(h) for h in histories])
@@ -79,6 +78,16 @@ def model_error(
         knots, record_fit.sample_s, moved[..., :count] / STEP, moved[..., count:], flight, sigma, correlation_s,
         _correlated_noise(record_fit), noise, None if noise is None else _white_K(record_fit, values, noise),
     )  # fmt: skip
+
+
+def scaled_heating(flown: Conditions, knots_s: FloatArray) -> list[Conditions]:
+    """(knot,) conditions with the heating, by the flow and by lamps, STEP higher about one knot after the other.
+
+    Source: docs/theory/model_error.md, equation 2.
+    """
+    heating = {n: flown[n] for n in ("h_ref_kg_m2_s", "q_add_W_m2") if n in flown}
+    scales = (1.0 + STEP * np.interp(flown.time_s, knots_s, hat) for hat in np.eye(len(knots_s)))
+    return [flown.with_columns(**{n: scale * q for n, q in heating.items()}) for scale in scales]
 
 
 def noise_error(record_fit: RecordFit, values: FloatArray, noise: HeatingNoise) -> ModelError:

@@ -44,9 +44,11 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 CORRELATION_LENGTH = {"alpha_deg": 30.0, "beta_deg": 20.0, "log10_re": 2.0, "elevon_deg": 30.0, "bodyflap_deg": 30.0}
-"""Distance l [deg], or [-] for log10_re, at which errors of two nodes are independent: docs/how_to/table_updates.md."""
+"""Distance l [deg], or [-] for log10_re, at which errors of two nodes are independent:
+docs/theory/table_updates_computed.md."""
 UPDATE_REACH = {"alpha_deg": 15.0, "beta_deg": 10.0, "log10_re": 0.4, "elevon_deg": 15.0, "bodyflap_deg": 15.0}
-"""Distance [deg], or [-] for log10_re, from which on an update leaves a node as it is: docs/how_to/table_updates.md."""
+"""Distance [deg], or [-] for log10_re, from which on an update leaves a node as it is:
+docs/theory/table_updates_computed.md."""
 
 SINGULAR = 1e-8
 """Diagonal [-] of the Cholesky root below which a correlation matrix counts as singular."""

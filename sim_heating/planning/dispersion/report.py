@@ -119,7 +119,10 @@ def _tables(result: DispersionResult) -> list[Table]:
     tables = [_peak_table(result), _first_order_table(result)]
     driven = [(f"{a.point} {a.location}", _drivers(result, a)) for a in result.peaks if a.indices is not None]
     if driven:
-        title = f"What drives the peaks: total Sobol' indices above {LEAST_INDEX:g}, first-order index in brackets"
+        title = (
+            f"What drives the peaks: total Sobol' indices above {LEAST_INDEX:g}, in brackets their bounds of "
+            f"{result.entry.spec.confidence:.0%} and the first order"
+        )
         tables.append(Table(title, ("control point", Column("inputs", is_text=True)), driven))
     return tables
 
@@ -171,9 +174,13 @@ def _first_order_table(result: DispersionResult) -> Table:
 
 def _drivers(result: DispersionResult, peak: PeakStatistics) -> str:
     assert peak.indices is not None  # the caller's choice
-    total, first = peak.indices.total.tolist(), peak.indices.first.tolist()
-    named = sorted(zip(result.entry.group_descriptions, total, first, strict=True), key=lambda x: -x[1])
-    return "; ".join(f"{name} {t:.2f} ({f:.2f})" for (name, _), t, f in named if t > LEAST_INDEX)
+    columns = (peak.indices.total, peak.indices.total_bounds, peak.indices.first)
+    named = sorted(zip(result.entry.group_descriptions, *columns, strict=True), key=lambda x: -x[1])
+    return "; ".join(
+        f"{name} {t:.2f} ({low:.2f}{NO_BREAK}to{NO_BREAK}{high:.2f}, first {f:.2f})"
+        for (name, _), t, (low, high), f in named
+        if t > LEAST_INDEX
+    )
 
 
 # Pictures ------------------------------------------------------------------------------------------------------------

@@ -46,6 +46,7 @@ from sim_heating.planning.dispersion.statistics import (
     Indices,
     Probability,
     Quantile,
+    additive_model,
     axis_rows,
     deviations,
     indices,
@@ -329,6 +330,8 @@ def evaluate(entry: DispersedEntry, flown: Mapping[str, Columns]) -> DispersionR
     raises : RunError where fewer than two flights were completed
     """
     columns, index = flown["main"], flown["index"]
+    batches = batches_of(entry)
+    rows = {u: np.concatenate([entry.rows(b) for b in batches[u]]) for u in ("main", "index") if index}
     order = first_order(entry, flown["axes"])
     checks = spot_checks(entry, flown["spot checks"]) if flown["spot checks"] else None
     completed = columns["outcome"] == COMPLETED
@@ -339,7 +342,7 @@ def evaluate(entry: DispersedEntry, flown: Mapping[str, Columns]) -> DispersionR
         for k, (quantity, limit) in enumerate(zip(QUANTITIES, (limited.surface_K, limited.bondline_K), strict=True)):
             if quantity == QUANTITIES[1] and entry.meshes[p].bondline == 0:
                 continue  # the bondline of a wall of one layer is its surface
-            peaks.append(_peak_statistics(entry, columns, index, order, k, p, limit))
+            peaks.append(_peak_statistics(entry, columns, index, rows, order, k, p, limit))
             if limit is not None and np.isfinite(limit):
                 # `~(<=)`: a peak that is NaN counts as above.
                 above |= ~(columns[f"{quantity}.{limited.point.name}"] <= limit)
@@ -355,8 +358,9 @@ def evaluate(entry: DispersedEntry, flown: Mapping[str, Columns]) -> DispersionR
 
 
 def _peak_statistics(
-    entry: DispersedEntry, columns: Columns, index: Columns, order: FirstOrder, k: int, p: int, limit: float | None
-) -> PeakStatistics:
+    entry: DispersedEntry, columns: Columns, index: Columns, rows: Mapping[str, FloatArray], order: FirstOrder,
+    k: int, p: int, limit: float | None,
+) -> PeakStatistics:  # fmt: skip
     spec, point, quantity = entry.spec, entry.points[p].point.name, QUANTITIES[k]
     x = columns[f"{quantity}.{point}"]
     finite = x[np.isfinite(x)]
@@ -371,7 +375,9 @@ def _peak_statistics(
     limit = limit if limit is not None and np.isfinite(limit) else None
     driven = None
     if index:
-        driven = indices(index[f"{quantity}.{point}"], len(entry.groups), spec.confidence, spec.seed)
+        groups, z = [columns for _, columns in entry.groups], rows["index"]
+        model = additive_model(rows["main"], x, order.slope[k, p])
+        driven = indices(index[f"{quantity}.{point}"], groups, spec.confidence, spec.seed, z, model)
     return PeakStatistics(
         point, quantity, float(np.mean(finite)), sigma, counted, limit, float(np.min(finite)),
         None if limit is None else probability(~(x <= limit), spec.confidence),
@@ -493,7 +499,7 @@ def notes_of(result: DispersionResult) -> list[str]:
                 f"{a.point}: every flight exceeds the limit of {a.limit:.0f} K at its {a.location}; the lowest peak is "
                 f"{a.least_K:.0f} K"
             )
-    lines += [*_excursion_notes(result), *_trim_notes(result), *_check_notes(result)]
+    lines += [*_excursion_notes(result), *_trim_notes(result), *_check_notes(result), *_index_notes(result)]
     fails = [f"{a.point} {a.location}" for a in result.peaks if not a.first["holds"]]
     if fails:
         all_of = _all_or_names(fails, len(result.peaks), "peaks")
@@ -514,6 +520,32 @@ def _excursion_notes(result: DispersionResult) -> list[str]:
             f"{max(o.flights for o in some)} of {result.entry.spec.flights} flights; edge values are held there, and "
             "these flights do not count as within the limits, the tables and the trim"
         )
+    return lines
+
+
+UNUSABLE_INDEX = 0.1
+"""Half width of the bounds of a total index that no longer tells what drives a peak, and a total this far below the
+first order, which no function has."""
+
+
+def _index_notes(result: DispersionResult) -> list[str]:
+    """Peaks whose indices have too wide bounds, or a total below the first order by more than rounding."""
+    wide, crossed = [], []
+    for a in (a for a in result.peaks if a.indices is not None):
+        assert a.indices is not None
+        if np.any(np.ptp(a.indices.total_bounds, axis=1) > 2.0 * UNUSABLE_INDEX):
+            wide.append(f"{a.point} {a.location}")
+        if np.any(a.indices.total < a.indices.first - 0.1 * UNUSABLE_INDEX):
+            crossed.append(f"{a.point} {a.location}")
+    remedy = f"raise index_flights, {result.entry.spec.index_flights} here"
+    count = sum(a.indices is not None for a in result.peaks)
+    lines = []
+    for names, words in (
+        (wide, f"are uncertain by more than {UNUSABLE_INDEX:g}"),
+        (crossed, "have a total below the first order, by the scatter of few flights"),
+    ):
+        if names:
+            lines.append(f"Sobol' indices of {_all_or_names(names, count, 'peaks')} {words}; {remedy}")
     return lines
 
 

@@ -199,33 +199,87 @@ class Indices:
     total_bounds: FloatArray
 
 
-def indices(values: FloatArray, groups: int, confidence: float, seed: int) -> Indices | None:
+@dataclass(frozen=True)
+class AdditiveModel:
+    """A sum of parabolas, one a normal number: what it explains of a quantity is exact, and need not be sampled.
+
+    coefficients : (terms, dimension) of the normalised Hermite polynomials z and (z^2 - 1)/sqrt(2), in that order
+    """
+
+    coefficients: FloatArray
+
+    def __call__(self, z: FloatArray) -> FloatArray:
+        """(flight,) values about their mean from (flight, dimension) normal numbers."""
+        terms = _hermite(z, len(self.coefficients))
+        return np.asarray(sum(t @ c for t, c in zip(terms, self.coefficients, strict=True)) + np.zeros(len(z)))
+
+    def variance(self, columns: Sequence[int]) -> float:
+        """Exact variance due to some dimensions: that of a sum of independent parabolas."""
+        return float(np.sum(self.coefficients[:, list(columns)] ** 2))
+
+
+def _hermite(z: FloatArray, terms: int) -> list[FloatArray]:
+    return [z, (z**2 - 1.0) / np.sqrt(2.0)][:terms]
+
+
+def additive_model(z: FloatArray, values: FloatArray, slope: FloatArray) -> AdditiveModel:
+    """Parabolas by least squares through flights (flight, dimension), (flight,), four or more for each coefficient.
+
+    slope : (dimension,) of the first order, which makes the model where there are fewer
+
+    Flights without a value are left out. The flights must not be those of the indices, which would be biased.
+    """
+    z, values = z[np.isfinite(values)], values[np.isfinite(values)]
+    terms = min(2, max(0, (len(values) // 4 - 1) // z.shape[1]))
+    if terms == 0:
+        return AdditiveModel(np.where(np.isfinite(slope), slope, 0.0)[np.newaxis])
+    basis = np.column_stack([np.ones(len(z)), *_hermite(z, terms)])
+    fitted = np.linalg.lstsq(basis, values, rcond=None)[0][1:]
+    return AdditiveModel(np.asarray(fitted, dtype=float).reshape(terms, z.shape[1]))
+
+
+def indices(
+    values: FloatArray, groups: Sequence[Sequence[int]], confidence: float, seed: int, z: FloatArray,
+    model: AdditiveModel,
+) -> Indices | None:  # fmt: skip
     """Sobol' indices from the flights of `saltelli_rows`; None where the values are constant or too few are known.
 
     values : (groups + 2 blocks of `base` flights,); rows of the design with a NaN in any block are left out as a whole
+    groups : dimensions that belong together
+    z      : (flight, dimension) rows of the design
+    model  : from other flights; only what it leaves unexplained is sampled (a control variate), which changes no
+             expectation and makes the bounds narrower the better it is
 
     Bounds are bootstrap percentiles.
     """
-    blocks = values.reshape(groups + 2, -1)
-    blocks = blocks[:, np.all(np.isfinite(blocks), axis=0)]
+    blocks, modelled = (x.reshape(len(groups) + 2, -1) for x in (values, model(z)))
+    complete = np.all(np.isfinite(blocks), axis=0)
+    blocks, modelled = blocks[:, complete], modelled[:, complete]
     if blocks.shape[1] < FEWEST_ROWS or np.ptp(blocks[:2]) < CONSTANT_K:
         return None
-    first, total = _estimate_indices(blocks)
-    rng, resampled = np.random.default_rng(seed), []
-    for _ in range(RESAMPLES):
-        resampled.append(_estimate_indices(blocks[:, rng.integers(0, blocks.shape[1], blocks.shape[1])]))
+    exact = np.array([model.variance(columns) for columns in groups])
+
+    def estimate(rows: IntArray | slice) -> tuple[FloatArray, FloatArray]:
+        of_values, of_model = _partial_variances(blocks[:, rows]), _partial_variances(modelled[:, rows])
+        variance = of_values[0] - of_model[0] + np.sum(exact)
+        first, total = (exact + f - m for f, m in zip(of_values[1:], of_model[1:], strict=True))
+        return first / variance, total / variance
+
+    first, total = estimate(slice(None))
+    rng = np.random.default_rng(seed)
+    resampled = [estimate(rng.integers(0, blocks.shape[1], blocks.shape[1])) for _ in range(RESAMPLES)]
     tail = 0.5 * (1.0 - confidence)
     spread = np.quantile(np.array(resampled), [tail, 1.0 - tail], axis=0)
     return Indices(first, total, spread[:, 0].T, spread[:, 1].T)
 
 
-def _estimate_indices(blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """First-order and total indices of blocks (groups + 2, base).
+def _partial_variances(blocks: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Variance, and those of first order and in total by group, of blocks (groups + 2, base).
 
     Source: Saltelli et al. (2010), table 2, (b) and (f). scipy.stats.sobol_indices uses the same, but accepts only
     powers of two.
     """
     # Centred on the common mean: the product for the first order has less scatter about 0.
     A, B, AB = blocks[0] - np.mean(blocks), blocks[1] - np.mean(blocks), blocks[2:] - np.mean(blocks)
-    variance = np.var(np.concatenate((A, B)))
-    return np.mean(B * (AB - A), axis=1) / variance, 0.5 * np.mean((A - AB) ** 2, axis=1) / variance
+    variance = float(np.var(np.concatenate((A, B))))
+    return variance, np.mean(B * (AB - A), axis=1), 0.5 * np.mean((A - AB) ** 2, axis=1)

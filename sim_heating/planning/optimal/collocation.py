@@ -63,6 +63,7 @@ class OptimalControlProblem:
     lower, upper, control_lower, control_upper : their bounds
     start  : (state,) at time 0;  end : number of a state -> its value at the end
     duration_s : shortest and longest [s]
+    control_rates : fastest change of each control, in its unit per second; infinite where free
     """
 
     model: Any
@@ -76,6 +77,7 @@ class OptimalControlProblem:
     start: FloatArray
     end: Mapping[int, float]
     duration_s: tuple[float, float]
+    control_rates: FloatArray = field(default_factory=lambda: np.array([np.inf]))
 
 
 @dataclass(frozen=True)
@@ -154,6 +156,8 @@ class Transcription:
         self.shape = (len(problem.start), DEGREE * self.count + 1)
         self.control_shape = (len(problem.control_lower), len(mesh))
         self.paths = problem.model.size1_out(1)
+        rates = np.broadcast_to(problem.control_rates, self.control_shape[:1])
+        self._limited_rates = [(i, float(rate)) for i, rate in enumerate(rates) if np.isfinite(rate)]
         self._time_scale = float(np.mean(problem.duration_s))
         nlp, options = self._program(), dict[str, Any](print_time=False)
         self._cold = ca.nlpsol("cold", "ipopt", nlp, options | {"ipopt": IPOPT})
@@ -167,15 +171,16 @@ class Transcription:
         inside = ca.vertcat(*(X[:, j : DEGREE * (self.count - 1) + j + 1 : DEGREE] for j in range(DEGREE + 1)))
         ends = ca.vertcat(U[:, :-1], U[:, 1:])
         lengths = ca.DM(np.diff(self.mesh)).T
-        defects, path = self._interval_function().map(self.count)(inside, ends, durations, lengths)
+        defects, path, turns = self._interval_function().map(self.count)(inside, ends, durations, lengths)
         return {
             "x": ca.vertcat(ca.vec(durations), ca.vec(X), ca.vec(U)),
             "f": -self.problem.goal(X[:, -1] * self.problem.scale),
-            "g": ca.vertcat(ca.vec(defects), ca.vec(durations[1:] - durations[:-1]), ca.vec(path)),
+            "g": ca.vertcat(ca.vec(defects), ca.vec(durations[1:] - durations[:-1]), ca.vec(path), ca.vec(turns)),
         }
 
     def _interval_function(self) -> Any:
-        """(states at 4 points, controls at both ends, duration, length) -> defects and paths at the Radau points."""
+        """(states at 4 points, controls at both ends, duration, length) -> defects and paths at the Radau points, and
+        the rates of limited controls over their limits."""
         p, (states, controls) = self.problem, (self.shape[0], self.control_shape[0])
         flat, u = ca.MX.sym("x", states * (DEGREE + 1)), ca.MX.sym("u", 2 * controls)
         duration, length = ca.MX.sym("duration"), ca.MX.sym("length")
@@ -188,7 +193,10 @@ class Transcription:
             rates, paths = p.model(*at)
             defects.append(ca.mtimes(X, ca.DM(C[:, j - 1])) - length * duration * self._time_scale * rates / p.scale)
             path.append(paths)
-        return ca.Function("interval", [flat, u, duration, length], [ca.vertcat(*defects), ca.vertcat(*path)])
+        seconds = length * duration * self._time_scale
+        turns = [(last[i] - first[i]) * p.control_scale[i] / (seconds * rate) for i, rate in self._limited_rates]
+        outputs = [ca.vertcat(*defects), ca.vertcat(*path), ca.vertcat(ca.MX(0, 1), *turns)]
+        return ca.Function("interval", [flat, u, duration, length], outputs)
 
     def _error_function(self) -> Any:
         """(x, u at both ends, length [s]) -> x at the end, by Runge-Kutta steps."""
@@ -223,10 +231,10 @@ class Transcription:
         )
         equal = np.zeros(self.shape[0] * (self.shape[1] - 1) + self.count - 1)
         path = np.tile(np.asarray(bounds.path or [np.inf] * self.paths, dtype=float), DEGREE * self.count)
-        lowest = np.full(len(path), -np.inf)
+        lowest, turns = np.full(len(path), -np.inf), np.ones(len(self._limited_rates) * self.count)
         return {
             "lbx": low, "ubx": high,
-            "lbg": np.concatenate((equal, lowest)), "ubg": np.concatenate((equal, path)),
+            "lbg": np.concatenate((equal, lowest, -turns)), "ubg": np.concatenate((equal, path, turns)),
         }  # fmt: skip
 
     def solve(self, guess: Motion, bounds: UpperBounds = FREE) -> Motion:

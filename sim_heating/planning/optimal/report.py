@@ -87,6 +87,7 @@ def _data(entry: OptimalEntry) -> dict[str, object]:
             asdict(p) | {"surface_limit_K": p.surface_limit_K if np.isfinite(p.surface_limit_K) else None}
             for p in entry.peaks
         ],
+        "flight_limits": [asdict(p) for p in entry.flight_peaks],
         "notes": list(entry.notes),
     }
 

@@ -24,6 +24,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import RunError
+from sim_heating.heating.atmosphere import G0_M_S2
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
 from sim_heating.march.history import PointHistory, march_points, table_excursions
 from sim_heating.march.point import PointModel
@@ -46,6 +47,8 @@ from sim_heating.trajectory.trimmed_aero import ELEVON_HIGH, ELEVON_LOW
 
 SAMPLE_S = 1.0
 """Interval of the conditions along the flight [s]."""
+OVERSHOOT = 0.01
+"""Largest part of a limit of the flight that is exceeded between the collocation points [-]."""
 LOAD_SCALE = 1e6
 """Typical integral of T_e over time [K s]."""
 
@@ -67,6 +70,24 @@ class PeakTemperatures:
         """Distance to each limit [K], negative where it is violated."""
         bondline = [] if self.bondline_limit_K is None else [self.bondline_limit_K - self.bondline_K]
         return [self.surface_limit_K - self.surface_K, *bondline]
+
+
+@dataclass(frozen=True)
+class FlightPeak:
+    """Highest value along a flight of a quantity that is limited, with its unit."""
+
+    name: str
+    unit: str
+    value: float
+    limit: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the limit is kept, but for what a polynomial exceeds it between the points where it is bounded."""
+        return self.value <= self.limit * (1.0 + OVERSHOOT)
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.value:.4g} of {self.limit:.4g} {self.unit}"
 
 
 class EntrySearch:
@@ -97,12 +118,19 @@ class EntrySearch:
         coefficients = tables.lift_drag(self.study, self.aero)(ca.vertcat(V / air.sound(h), alpha))
         force = 0.5 * ca.exp(air.ln_density(h)) * V**2 * self.aero.area_m2 / self.aero.mass_kg
         wall = ca.MX(0, 1) if self.wall is None else self.wall(ca.vertcat(h, V, alpha))
+        limits = self.study.flight_limits
+        pressure = 0.5 * ca.exp(air.ln_density(h)) * V**2
+        radians = alpha * np.pi / 180.0
+        normal = force * (coefficients[0] * ca.cos(radians) + coefficients[1] * ca.sin(radians)) / G0_M_S2
+        paths = [wall]
+        for value, limit in ((pressure, limits.dynamic_pressure_Pa), (normal, limits.normal_load_g)):
+            paths += [] if limit is None else [value / limit]
         rates = od.motion_rates(x, force * coefficients[0], force * coefficients[1], u[od.BANK], tables.PLANET)
         load_rates = [1e3 * wall[i] - SURROUNDINGS_K for i in self.with_bondline_limit]
         start = np.concatenate((_initial_state(self.study), np.zeros(points)))
         loads = np.full(points, LOAD_SCALE)
         return OptimalControlProblem(
-            model=ca.Function("model", [x, u], [ca.vertcat(*rates, *load_rates), wall]),
+            model=ca.Function("model", [x, u], [ca.vertcat(*rates, *load_rates), ca.vertcat(*paths)]),
             goal=od.cross_range_function(start, self.side),
             scale=np.concatenate((od.SCALE, loads)), control_scale=od.CONTROL_SCALE,
             lower=np.concatenate((self._lowest(), -10.0 * loads)),
@@ -115,6 +143,7 @@ class EntrySearch:
                 od.GAMMA: np.radians(file.end.gamma_deg),
             },
             duration_s=(file.duration_s[0], file.duration_s[1]),
+            control_rates=np.array([limits.alpha_rate_deg_s or np.inf, limits.bank_rate_deg_s or np.inf]),
         )  # fmt: skip
 
     @property
@@ -180,6 +209,24 @@ class EntrySearch:
             for p, h in zip(self.study.points, histories, strict=True)
         )
 
+    def flight_peaks(self, motion: Motion, flown: Conditions) -> tuple[FlightPeak, ...]:
+        """Highest values of the limited quantities of a flight, from the tables themselves."""
+        pressure = 0.5 * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2
+        seen = zip(flown["mach"].tolist(), flown["alpha_deg"].tolist(), flown["velocity_m_s"].tolist(), strict=True)
+        CL, CD = np.array([self.aero.at(*at)[:2] for at in seen]).T
+        alpha = np.radians(flown["alpha_deg"])
+        weight = self.aero.mass_kg * G0_M_S2
+        normal = pressure * self.aero.area_m2 * (CL * np.cos(alpha) + CD * np.sin(alpha)) / weight
+        turns = np.abs(np.diff(motion.controls, axis=1)) / (motion.duration_s * np.diff(motion.mesh))
+        limits = self.study.flight_limits
+        peaks = (
+            ("dynamic pressure", "Pa", pressure, limits.dynamic_pressure_Pa),
+            ("normal load", "g", normal, limits.normal_load_g),
+            ("rate of alpha", "deg/s", turns[od.ALPHA], limits.alpha_rate_deg_s),
+            ("rate of bank", "deg/s", turns[od.BANK], limits.bank_rate_deg_s),
+        )
+        return tuple(FlightPeak(n, u, float(np.max(x)), limit) for n, u, x, limit in peaks if limit is not None)
+
     def notes(self, flown: Conditions) -> list[str]:
         """Notes on a flight: where it leaves a ratio table, and the time with the elevon at an end of its travel."""
         lines = [
@@ -200,8 +247,8 @@ class EntrySearch:
         """Highest T_e of each point along a motion [K]."""
         if self.wall is None:
             return np.zeros(len(self.study.points))
-        _, walls = self.problem.model.map(motion.states.shape[1])(motion.states, motion.controls_at(motion.time_s))
-        return np.asarray(np.max(1e3 * np.array(walls), axis=1), dtype=float)
+        _, paths = self.problem.model.map(motion.states.shape[1])(motion.states, motion.controls_at(motion.time_s))
+        return np.asarray(np.max(1e3 * np.array(paths)[: len(self.study.points)], axis=1), dtype=float)
 
     def loads(self, motion: Motion) -> FloatArray:
         """Integral of T_e - SURROUNDINGS_K of each point at the end [K s]; 0 where its bondline has no limit."""
@@ -267,6 +314,7 @@ class OptimalEntry:
     rounds     : of the search
     status     : one line: the limits that are active
     notes      : where the flight leaves a ratio table or is not trimmed, and where its mesh is coarser than asked
+    flight_peaks : of the quantities of the flight that are limited
     """
 
     study: OptimalStudy
@@ -279,6 +327,7 @@ class OptimalEntry:
     rounds: tuple[OptimisationRound, ...]
     status: str
     notes: tuple[str, ...] = ()
+    flight_peaks: tuple[FlightPeak, ...] = ()
 
     def __repr__(self) -> str:
         return f"<OptimalEntry `{self.study.title}`: cross-range {self.cross_range_deg:.3f} deg, {self.status}>"
@@ -296,7 +345,19 @@ class OptimalEntry:
         for p in self.peaks:
             margins = zip(("surface", "bondline"), p.margins(), strict=False)
             limits += [f"{p.point} {where}" for where, margin in margins if margin < near]
-        return limits
+        return limits + [p.name for p in self.flight_peaks if p.value > p.limit * (1.0 - OVERSHOOT)]
+
+    @property
+    def kept_limits(self) -> list[str]:
+        """Limits that are kept, each with the value reached: temperatures, then those of the flight."""
+        kept = []
+        for p in self.peaks:
+            for where, value, limit in (
+                ("surface", p.surface_K, p.surface_limit_K), ("bondline", p.bondline_K, p.bondline_limit_K)
+            ):  # fmt: skip
+                if limit is not None and np.isfinite(limit) and value <= limit:
+                    kept.append(f"{p.point} {where} {value:.0f} of {limit:.0f} K")
+        return kept + [str(p) for p in self.flight_peaks if p.kept]
 
 
 @dataclass
@@ -305,6 +366,7 @@ class _Steering:
 
     wall_K   : (point,) of T_e [K];  load_K_s : (point,) of its integral [K s]; infinite where free
     loaded   : numbers of the points with a bondline limit;  limited : whether any point has a surface limit
+    flight_limits : number of paths behind those of the walls, each bounded by 1
     rounds   : (point,) loads [K s] and bondline peaks [K] of each round so far
     """
 
@@ -312,12 +374,13 @@ class _Steering:
     load_K_s: FloatArray
     loaded: list[int]
     limited: bool
+    flight_limits: int
     rounds: list[tuple[FloatArray, FloatArray]]
 
     def bounds(self) -> UpperBounds:
         """The bounds in the units and order of the problem."""
         return UpperBounds(
-            tuple(self.wall_K / 1e3) if self.limited else (),
+            (tuple(self.wall_K / 1e3) if self.limited else ()) + (1.0,) * self.flight_limits,
             {od.STATES + k: self.load_K_s[i] for k, i in enumerate(self.loaded)},
         )
 
@@ -335,6 +398,7 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
         np.full(len(points), np.inf),
         search.with_bondline_limit,
         search.wall is not None,
+        search.problem.model.size1_out(1) - (0 if search.wall is None else len(points)),
         [],
     )
     motion, rounds = search.guess(), list[OptimisationRound]()
@@ -416,7 +480,7 @@ def _entry(search: EntrySearch, motion: Motion, rounds: Sequence[OptimisationRou
         notes.append(_mesh_note(search.study, motion))
     entry = OptimalEntry(
         search.study, motion, flown, float(motion.goal) * tables.PLANET.radius_m / 1e3,
-        tuple(histories), peaks, nominal, tuple(rounds), "", tuple(notes),
+        tuple(histories), peaks, nominal, tuple(rounds), "", tuple(notes), search.flight_peaks(motion, flown),
     )  # fmt: skip
     return replace(entry, status=_status(entry))
 
@@ -434,12 +498,12 @@ def _mesh_note(study: OptimalStudy, motion: Motion) -> str:
 
 
 def _status(entry: OptimalEntry) -> str:
-    if not any(np.isfinite(m) for p in entry.peaks for m in p.margins()):
-        limits = "no limit was given"
-    elif entry.active_limits:
-        limits = f"all limits are kept; active: {', '.join(entry.active_limits)}"
-    else:
-        limits = "all limits are kept and none is active"
+    kept, exceeded = entry.kept_limits, [str(p) for p in entry.flight_peaks if not p.kept]
+    limits = f"kept: {', '.join(kept)}" if kept else "no limit was given"
+    if exceeded:
+        limits += f"; exceeded between the points where it is bounded: {', '.join(exceeded)}; lower mesh_tolerance"
+    if kept:
+        limits += f"; active: {', '.join(entry.active_limits)}" if entry.active_limits else "; none is active"
     P = entry.study.declared.probability
     probability = "" if P is None else f", with a probability of {P:g} or more"
     return f"optimal after {len(entry.rounds)} rounds: {limits}{probability}"

@@ -8,6 +8,7 @@ probability = 0.95                  # of keeping all limits, by the sigma of the
 [end]                               # altitude_m, velocity_m_s, gamma_deg
 [state]                             # as in a scenario's [trajectory.vehicle]
 [[limit]]                           # control_point; surface_K, bondline_K in place of the vehicle's own
+[flight_limits]                     # dynamic_pressure_Pa, normal_load_g, alpha_rate_deg_s, bank_rate_deg_s, likewise
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from pydantic import Field, field_validator
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, display_path, raise_problems, read_toml
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
+from sim_heating.inputs.vehicle_files import FlightLimits
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.trajectory.aero import load_aero
 from sim_heating.trajectory.spec import Initial, VehicleState
@@ -70,6 +72,7 @@ class OptimalStudyFile(Declared):
     duration_s: list[float] = Field(default=[600.0, 5000.0], min_length=2, max_length=2)
     probability: float | None = Field(default=None, gt=0.5, lt=1.0, description="above 0.5, below 1")
     limit: list[Limit] = Field(default=[])
+    flight_limits: FlightLimits = Field(default=FlightLimits(), description="in place of the vehicle's own")
     soak_s: float = Field(default=1800.0, ge=0.0, le=36000.0)
     tolerance_K: float = Field(default=1.0, gt=0.0, le=50.0)
     intervals: int = Field(default=40, ge=5, le=500)
@@ -85,11 +88,12 @@ class OptimalStudyFile(Declared):
 
 @dataclass(frozen=True)
 class OptimalStudy:
-    """A checked study with its vehicle and limited control points."""
+    """A checked study with its vehicle, limited control points, and limits of the flight."""
 
     declared: OptimalStudyFile
     vehicle: Vehicle
     points: tuple[LimitedPoint, ...]
+    flight_limits: FlightLimits
 
     @property
     def title(self) -> str:
@@ -144,7 +148,10 @@ def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "st
     ]
     problems += _control_problems(declared, vehicle, where)
     raise_problems(problems)
-    return OptimalStudy(declared, vehicle, tuple(points))
+    vehicles = vehicle.declared.flight_limits or FlightLimits()
+    own = {key: getattr(vehicles, key) for key in FlightLimits.model_fields}
+    flight_limits = FlightLimits(**(own | declared.flight_limits.model_dump(exclude_none=True)))
+    return OptimalStudy(declared, vehicle, tuple(points), flight_limits)
 
 
 def tabulated_alpha_deg(vehicle: Vehicle) -> tuple[float, float]:

@@ -24,7 +24,7 @@ from sim_heating.base.report.figure import (
     replaced_if_undrawable,
     save_figure,
 )
-from sim_heating.march.history import PointHistory
+from sim_heating.march.history import Band, PointHistory
 from sim_heating.trajectory.flight import Window
 
 BEFORE_S, AFTER_S = 15.0, 25.0
@@ -124,6 +124,9 @@ def draw_temperatures(
     _plot_by_peak(axes[0], {p.name: (p.time_s, p.surface_K) for p in hottest}, style, "surface temperature, K")
     insulated = [p for p in hottest if np.max(p.bondline_K) < HOT_STRUCTURE * np.max(p.surface_K)]
     _plot_by_peak(axes[1], {p.name: (p.time_s, p.bondline_K) for p in insulated}, style, "bondline temperature, K")
+    for a, shown, k in ((axes[0], hottest, 0), (axes[1], insulated, 1)):
+        for p in (p for p in shown if p.band is not None):
+            _fill_band(a, p, k, style[p.name]["color"])
     if len(points) <= LIMITS_SHOWN:
         for a, shown, key in ((axes[0], hottest, "surface_K"), (axes[1], insulated, "bondline_K")):
             _plot_limits(a, {p.name: (limits or {}).get(p.name, {}).get(key) for p in shown}, style)
@@ -135,6 +138,13 @@ def draw_temperatures(
     if left_out:
         axes[1].set_title(f"hot structure, no bondline: {', '.join(left_out)}", fontsize=8, loc="left")
     return save_figure(figure, path, title, axes)
+
+
+def _fill_band(axes: Axes, point: PointHistory, channel: int, color: object) -> None:
+    """Shade the 95 % band of a channel of a point, where it has one."""
+    if point.band is not None:
+        ends = (point.band.low_K[channel], point.band.high_K[channel])
+        axes.fill_between(point.time_s, *ends, color=color, alpha=0.18, linewidth=0)
 
 
 def _styles(points: Sequence[PointHistory], values: Mapping[str, FloatArray]) -> dict[str, dict[str, Any]]:
@@ -331,15 +341,21 @@ def draw_prediction(
     names: Sequence[str],
     measured_K: FloatArray,
     predicted_K: FloatArray,
+    band: Band | None = None,
 ) -> Figure:
-    """Each sensor of a record, measured and predicted, with the residual below."""
+    """Each sensor of a record, measured and predicted, with the residual below; the 95 % band where there is one."""
     figure, axes = new_figure(9.5, 7.0, 2, sharex=True, height_ratios=[2, 1])
     for i, name in enumerate(names):
         axes[0].plot(time_s, measured_K[i], ".", color=f"C{i}", markersize=2.5, alpha=0.5)
         axes[0].plot(time_s, predicted_K[i], color=f"C{i}", linewidth=1.2, label=legend_label(name))
         axes[1].plot(time_s, measured_K[i] - predicted_K[i], ".", color=f"C{i}", markersize=2.5)
+        if band is not None:
+            for a, centre in ((axes[0], 0.0), (axes[1], predicted_K[i])):
+                ends = (band.low_K[2 + i] - centre, band.high_K[2 + i] - centre)
+                a.fill_between(time_s, *ends, color=f"C{i}", alpha=0.18, linewidth=0)
     axes[0].set_ylabel("temperature at the sensor, K")
-    axes[0].legend(title="line: predicted\ndots: measured", fontsize=8, title_fontsize=8)
+    shaded = "" if band is None else "\nshaded: 95 % band"
+    axes[0].legend(title=f"line: predicted\ndots: measured{shaded}", fontsize=8, title_fontsize=8)
     axes[1].axhline(0.0, color="0.3", linewidth=0.8)
     axes[1].set_ylabel("measured - predicted, K")
     axes[1].set_xlabel("time, s")
