@@ -237,14 +237,15 @@ class Statement:
         if self.model_error is not None:
             lines.append(self.model_error.in_words())
             if self.finding in (FOUND, ONE_OF, NONE):
-                lines.append("No probability is given: findings on models with an own error are not calibrated yet.")
+                lines.append("No probability is given: findings on models with an error are not calibrated yet.")
         return " ".join(lines)
 
     def _adequacy_in_words(self, adequacy: Adequacy) -> str:
         """What a model does to the record."""
         p = f"p = {adequacy.p_value:.2g}" if adequacy.p_value >= LEAST_P_VALUE else f"p below {LEAST_P_VALUE:g}"
         if adequacy.p_value >= ADEQUATE:
-            return f"explains the record to its noise ({p})"
+            error = "" if self.model_error is None else " and the model's own error"
+            return f"explains the record to its noise{error} ({p})"
         if adequacy.unstructured:
             times = math.sqrt(adequacy.chi2_fit)
             return f"leaves noise alone, {times:.2f} times as large as declared ({p})"

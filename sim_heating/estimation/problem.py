@@ -9,6 +9,7 @@ times are marched side by side, others in threads.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -25,7 +26,7 @@ from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parallel.threads import in_threads
 from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.estimation.inference.error_likelihood import innovations, scored_readings
-from sim_heating.estimation.inference.model_error import ModelError
+from sim_heating.estimation.inference.model_error import FLIGHT_PREFIX, ModelError
 from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise
 from sim_heating.estimation.record_fit import (
@@ -200,10 +201,7 @@ class FitProblem:
 
         correction_K : (sensor, sample) [K]
         """
-        other = copy(self)
-        other.record_fits = [replace(self.record_fits[0], correction_K=correction_K)]
-        other._group()
-        return other
+        return self.with_record_fits([replace(self.record_fits[0], correction_K=correction_K)])
 
     def with_model_error(self, error: ModelError) -> FitProblem:
         """The problem of one record with another error of its model.
@@ -221,8 +219,17 @@ class FitProblem:
 
         Source: docs/theory/model_error.md, equation 1.
         """
+        return self.with_record_fits([replace(r, model_error=e) for r, e in zip(self.record_fits, errors, strict=True)])
+
+    def with_record_fits(self, record_fits: Sequence[RecordFit]) -> FitProblem:
+        """The problem with other conditions, corrections or errors of its records.
+
+        record_fits : of the same unknowns and samples, corrections and responses in [K]
+
+        Likelihood: docs/theory/estimation_statistics.md, equations 3 to 14.
+        """
         other = copy(self)
-        other.record_fits = [replace(r, model_error=e) for r, e in zip(self.record_fits, errors, strict=True)]
+        other.record_fits = list(record_fits)
         other._group()
         return other
 
@@ -233,31 +240,34 @@ class FitProblem:
         """
         if all(part.model_error is None for part in self.record_fits):
             return self
-        other = copy(self)
-        other.record_fits = [
-            part if part.model_error is None
-            else replace(part, model_error=part.model_error.of_size(0.0, part.model_error.correlation_s))
-            for part in self.record_fits
-        ]  # fmt: skip
-        other._group()
-        return other
+        errors = [part.model_error for part in self.record_fits]
+        return self.with_model_errors([None if e is None else e.of_size(0.0, e.correlation_s) for e in errors])
 
-    def with_flight_unknowns(self) -> FitProblem:
-        """The problem of one record with the errors of its flight as unknowns, which other records of it may share.
+    def with_flight_unknowns(self, limit: float = math.inf) -> FitProblem:
+        """The problem with the errors of its flights as unknowns, which several records of one flight may share.
 
-        The problem as it is where its flight has none. Each is in standard deviations of its prior [-]: f of
+        limit : bound on each of them, those that are unknowns already as well, in standard deviations [-]
+
+        The problem as it is where no flight has any. Each is in standard deviations of its prior [-]: f of
         docs/theory/model_error.md, equation 1.
         """
-        part, first = self.record_fits[0], len(self.unknowns)
-        if part.model_error is None or part.model_error.flight is None or part.flight_names:
+        of_flight = Parameter("", "1", 0.0, 1.0, -limit, limit, text="error of the flight")
+        unknowns = [
+            replace(u, parameter=replace(of_flight, name=u.parameter.name))
+            if u.parameter.name.startswith(FLIGHT_PREFIX) else u
+            for u in self.unknowns
+        ]  # fmt: skip
+        parts = []
+        for i, part in enumerate(self.record_fits):
+            names = () if part.model_error is None or part.flight_names else part.model_error.flight_names
+            own = f"{AT}{part.record.name}" if len(self.record_fits) > 1 else ""
+            index = np.append(part.index, len(unknowns) + np.arange(len(names)))
+            unknowns += [FitParameter(f"{n}{own}", replace(of_flight, name=n), (i,)) for n in names]
+            parts.append(replace(part, flight_names=names, index=index) if names else part)
+        if len(unknowns) == len(self.unknowns) and limit == math.inf:
             return self
-        names = part.model_error.flight_names
-        more = [FitParameter(n, Parameter(n, "1", 0.0, 1.0, text="error of the flight"), (0,)) for n in names]
-        other = copy(self)
-        other.unknowns = [*self.unknowns, *more]
-        index = np.append(part.index, first + np.arange(len(names)))
-        other.record_fits = [replace(part, flight_names=names, index=index)]
-        other._group()
+        other = self.with_record_fits(parts)
+        other.unknowns = unknowns
         return other
 
     # Parameters ------------------------------------------------------------------------------------------------------

@@ -28,10 +28,10 @@ from sim_heating.closure.close import (
     valued,
     write_closed_loop,
 )
+from sim_heating.closure.plain_marches import plain_marches
 from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.report import CandidateScore, Finding
 from sim_heating.closure.search.ranking import posteriors
-from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.search.trials.told_error import told_flight
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects, sample_count
@@ -39,10 +39,9 @@ from sim_heating.closure.several.joint_fit import JointHypothesis, joined
 from sim_heating.closure.several.joint_report import FILES, JointClosure, write_joint_closure
 from sim_heating.closure.several.joint_search import JointSearch, search_jointly
 from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
-from sim_heating.estimation.fit import FitResult, check_joint_records, fit_problem, predict_fit
+from sim_heating.estimation.fit import FitResult, check_joint_records, fit_problem
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.report.remarks import further_warnings, remarks
-from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.record import Record, load_records
 from sim_heating.simulation.predict import Prediction
 
@@ -139,7 +138,7 @@ def join(loops: Sequence[ClosedLoop], *, progress: Progress = no_progress) -> Jo
     if search.compared.model is None:
         return JointClosedLoop(tuple(loops), search, None, _report(loops, search, None, []))
     fitted = _refit(search)
-    return JointClosedLoop(tuple(loops), search, fitted, _report(loops, search, fitted, _plain(fitted)))
+    return JointClosedLoop(tuple(loops), search, fitted, _report(loops, search, fitted, plain_marches(fitted)))
 
 
 def write_joint_loop(closed: JointClosedLoop, out: str | os.PathLike[str]) -> list[str]:
@@ -167,15 +166,6 @@ def _refit(search: JointSearch) -> FitResult:
     problem = joined([_full_problem(t, r) for t, r in zip(trials, records, strict=True)], model.levels)
     values = {u.label: v for u, v in zip(model.problem.unknowns, best.last.fit.values, strict=True)}
     return fit_problem(problem, np.array([values[u.label] for u in problem.unknowns]), settings=REFIT)
-
-
-def _plain(fitted: FitResult) -> list[Prediction]:
-    """Plain marches of the members of a fit, without a smooth error of their heating: fitted once more without it."""
-    problem, values = fitted.problem.without_heating_error(), fitted.fit.values
-    if problem is not fitted.problem:
-        fit = maximise_together([problem], [values], CONVERGE)[0]
-        values = fit.values if np.isfinite(fit.log_likelihood) else values
-    return [predict_fit(part, values, u) for part, u in zip(problem.record_fits, problem.errors(values), strict=True)]
 
 
 def _full_problem(trial: TrialFit, record: Record) -> FitProblem:

@@ -394,9 +394,11 @@ def _values_section(found: JointClosure) -> Section:
             "; ".join(_bound(p.value, p.sigma) for p in together) or "-",
             *("-" if o is None else _bound(*o) for o in own),
         ])  # fmt: skip
+    exact = all(c.statement.model_error is None for c in found.closures)
+    bounds = "corrected for coloured residuals" if exact else "with the error of the models"
     text = (
-        "Values with one standard deviation; those together are corrected for coloured residuals. Magnitude and "
-        "derivatives of the heating ratio are each record's own."
+        f"Values with one standard deviation; those together are {bounds}. Magnitude and derivatives of the heating "
+        "ratio are each record's own."
     )
     return Section("Parameters", [text], tables=[Table("", columns, rows)])
 
