@@ -10,10 +10,10 @@ import click
 from benchmarks.measure import Figure, table
 
 NAMES = (
-    "verification", "c_loop", "work_precision", "after_a_jump", "frames", "coupling", "fmu", "optimal", "envelope",
-    "covariance", "end_to_end", "default_parameters", "ground_step", "skew", "initial", "segments", "design",
+    "verification", "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "envelope",
+    "covariance", "end_to_end", "ground_step", "skew", "segments", "design",
     "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
-    "tile_left_out", "switched_off",
+    "tile_left_out",
     "kaowool", "paper_figures", "dispersion", "dispersed_entry", "demo", "practice", "findings",
     "closure", "closure_challenge", "campaign",
     "live", "journals", "mutants", "kills", "study_kills", "concurrency", "reliability",

@@ -306,20 +306,6 @@ def segments_starts(results: Results) -> str:
     return markdown_table(head, rows)
 
 
-def initial_starts(results: Results) -> str:
-    """Errors of two practice flights by their start, over the bounds from entry interface and over their own."""
-    f = Figures(results)
-    error, flights = ": RMS error over the bounds of declared", ("p06", "p07")
-    first = f"{flights[0]}, "
-    starts = [w.removeprefix(first).removesuffix(error) for w in f.names() if w.startswith(first) and w.endswith(error)]
-    rows = []
-    for start in starts:
-        whats = [f"{flight}, {start}{error}" for flight in flights]
-        cells = ((f"{f.value(w):.1f}", f"{float(f.noted(w, 'over its own bounds')):.1f}") for w in whats)
-        rows.append([start.removesuffix(" before"), *(c for pair in cells for c in pair)])
-    return markdown_table(("", "p06", "own", "p07", "own"), rows)
-
-
 def residual_resolution(results: Results) -> str:
     """Frequency that comes back at half its amplitude, by depth and by recorder."""
     f = Figures(results)
@@ -454,7 +440,6 @@ TABLES: Mapping[str, Callable[[Results], str]] = {
     "ground_step, fluxes": ground_step_fluxes,
     "skew, coatings": skew_coatings,
     "segments, starts": segments_starts,
-    "initial, starts": initial_starts,
     "residual, resolution": residual_resolution,
     "covariance, kinds": covariance_kinds,
     "kaowool, mechanisms": kaowool_mechanisms,

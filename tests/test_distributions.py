@@ -113,6 +113,7 @@ def test_examples_by_name_run_from_the_wheel(installed: dict[str, str], tmp_path
     assert (tmp_path / "mine" / "scenarios" / "popu_mach20.toml").is_file()
 
 
+@pytest.mark.thorough
 def test_the_wheel_says_that_it_is_typed(built: dict[str, Path]) -> None:
     with zipfile.ZipFile(built[".whl"]) as wheel:
         assert "sim_heating/py.typed" in wheel.namelist()

@@ -36,7 +36,7 @@ from sim_heating.thermal.mesh import Mesh, diffusion_depths, halve_elements
 from sim_heating.thermal.stack import Sensor
 
 TIME_CONSTANT = 1.0
-"""tau over s^2 [-]; `python -m benchmarks initial` compares others."""
+"""tau over s^2 [-]."""
 READINGS = 3
 """Number of readings that are averaged for the temperature at a thermocouple."""
 IMPOSING_FILM = 10.0

@@ -144,14 +144,10 @@ def pressure_below_rise(
 
 
 @njit
-def _surface_pressures(
-    p_inf: FloatArray, rho: FloatArray, V: FloatArray, T_inf: FloatArray, alpha_deg: FloatArray, beta_deg: FloatArray,
-    elevon_deg: FloatArray, bodyflap_deg: FloatArray, model: FloatArray, out: FloatArray,
-) -> None:  # fmt: skip
+def _surface_pressures(flight: FloatArray, model: FloatArray, out: FloatArray) -> None:
     for i in range(len(out)):
-        out[i] = surface_pressure_kernel(
-            p_inf[i], rho[i], V[i], T_inf[i], alpha_deg[i], beta_deg[i], elevon_deg[i], bodyflap_deg[i], model
-        )
+        f = flight[i]
+        out[i] = surface_pressure_kernel(f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], model)
 
 
 def surface_pressure(model: ModifiedNewtonian | FractionOfStagnation, conditions: Conditions) -> FloatArray:
@@ -168,9 +164,8 @@ def surface_pressure(model: ModifiedNewtonian | FractionOfStagnation, conditions
         bad = np.flatnonzero(c[name] <= 0.0)
         if bad.size:
             raise InputError(f"conditions, row {bad[0] + 1}, column {name}: {c[name][bad[0]]} (must be above 0)")
-    out = np.empty(len(c))
-    _surface_pressures(
-        c["p_inf_Pa"], c["rho_kg_m3"], c["velocity_m_s"], c["T_inf_K"], c["alpha_deg"], c["beta_deg"],
-        c["elevon_deg"], c["bodyflap_deg"], model.parameters(), out,
-    )  # fmt: skip
+    angles = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
+    columns = ("p_inf_Pa", "rho_kg_m3", "velocity_m_s", "T_inf_K", *angles)
+    flight, out = np.column_stack([c[name] for name in columns]), np.empty(len(c))
+    _surface_pressures(flight, model.parameters(), out)
     return out

@@ -151,6 +151,7 @@ def test_jets_that_fire_are_an_input_of_a_fit(flight: CampaignFlight) -> None:
     assert data.jet_names(replace(flown, record=record)) == ("effect.jet-interaction.jet_gain",)
 
 
+@pytest.mark.thorough
 def test_a_lag_in_the_tunnel_is_told_from_its_interface() -> None:
     """The truth lags by 3 s and has the coating that the record declares; the interface alone makes no such lag."""
     (found,) = draw_figures([TUNNEL], [18]).drawn

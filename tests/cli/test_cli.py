@@ -428,6 +428,7 @@ def test_a_flight_is_read_back_from_its_own_conditions(workdir: Path, first: Pat
     assert [float(x) for x in again] == pytest.approx([float(x) for x in before], abs=0.001)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("column", "factor"), [("velocity_m_s", 1.0 / 0.3048), ("altitude_m", 1e-3)])
 def test_a_recorded_flight_in_another_unit_is_refused(
     workdir: Path, first: Path, capsys: pytest.CaptureFixture[str], column: str, factor: float

@@ -161,6 +161,7 @@ def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(
     assert all(name in printed for name in (f"first/{PLUG}", f"second/{PLUG}", " second "))
 
 
+@pytest.mark.thorough
 def test_two_points_of_one_flight_have_a_ratio_each(workdir: Path) -> None:
     records = [f"both/{PLUG}", f"both/{POD}"]
     found = estimate_contents(sh.estimate(records, list(TRUTH)))

@@ -180,6 +180,7 @@ def test_a_command_whose_output_nobody_reads_does_its_work(workdir: Path, redire
     assert main(["validate", "out/../short.toml"]) == 0
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("redirection", [">&-", "2>&-", "| true"])
 def test_the_exit_status_does_not_depend_on_who_reads(workdir: Path, redirection: str) -> None:
     done = run_in_shell(f"{redirection}", "validate", "none.toml")

@@ -36,6 +36,7 @@ def test_a_prediction_repeated_has_the_same_bytes(home: Path, capsys: pytest.Cap
     assert found["results"]["same"] == found["results"]["files"] >= 5
 
 
+@pytest.mark.thorough
 def test_a_changed_input_and_what_it_changes_are_named(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["predict", "p06", "--out", "out", "--quiet"]) == 0
     record = home / "p06" / "record.toml"

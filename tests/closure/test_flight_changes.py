@@ -120,6 +120,7 @@ def test_a_predicted_gain_is_close_to_that_of_the_fit():
     assert gain == pytest.approx(fits[0].fit.log_likelihood - base.fit.log_likelihood, rel=0.05)
 
 
+@pytest.mark.thorough
 def test_a_change_that_promises_little_of_what_is_known_is_not_fitted():
     base, fits = in_thin_air()
     assert fit_changes(base, [fits[0].change], best_gain=1e4) == []

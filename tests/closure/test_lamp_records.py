@@ -80,6 +80,7 @@ def test_a_lamp_that_is_brighter_than_stated_is_found_as_that() -> None:
     assert factor.value == pytest.approx(1.08, abs=4.0 * factor.sigma)
 
 
+@pytest.mark.thorough
 def test_under_the_lamp_that_is_stated_nothing_is_found() -> None:
     assert close_loop(brighter(1.0)).effects == ("none",)
 

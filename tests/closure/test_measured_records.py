@@ -127,6 +127,7 @@ def test_a_flight_without_an_error_is_the_stated_one():
         np.testing.assert_allclose(after[name], before[name], rtol=1e-12)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("later_s", [1.9, -2.6])
 def test_a_clock_within_its_uncertainty_is_an_error_of_the_flight(later_s):
     """Eight-bit readings of a POPU, whose conditions were recorded by a clock that was off."""

@@ -84,6 +84,7 @@ def test_a_wrong_thermocouple_is_recognised(record, what):
     assert found[0].delta_bic < found[1].delta_bic - 100.0 if len(found) > 1 else found[0].delta_bic < -100.0
 
 
+@pytest.mark.thorough
 def test_a_drift_is_recognised_with_its_rate():
     best = found_in(with_readings(words=True, LS_bond=READ["LS_bond"] + DRIFT_K_S * (TIME_S - TIME_S[0])))[0]
     assert best.change.what == "drift of LS_bond"
@@ -99,6 +100,7 @@ def test_a_depth_that_is_declared_wrong_by_two_millimetres_is_recognised(sensor)
     assert best.value == pytest.approx(-wrong_m, abs=3e-4)  # through a layer of adhesive, nearly isothermal
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["p06", "p08"])
 def test_a_record_with_sound_thermocouples_has_no_other_ones(name):
     record = load_record(PRACTICE / name)
@@ -146,6 +148,7 @@ def plug(broken: Mapping[str, np.ndarray]) -> Record:
     return replace(record, thermocouples={"time_s": TIME_S, **read})
 
 
+@pytest.mark.thorough
 def test_a_jump_faster_than_heat_reaches_the_depth_is_told():
     jumping = with_readings(words=True, LS_bond=READ["LS_bond"] + 40.0 * (TIME_S > 600.0))
     described = [f.describe() for f in found_in(jumping) if f.change.what == "LS_bond broken"]
@@ -180,6 +183,7 @@ def test_two_broken_thermocouples_of_four_are_found_together():
     assert best.trial.excess_chi2 < 0.3
 
 
+@pytest.mark.thorough
 def test_readings_that_keep_still_while_no_other_sensor_moves_are_not_stuck():
     at = int(np.searchsorted(TIME_S, 300.0))
     still = {name: np.where(TIME_S < 300.0, read, read[at]) for name, read in READ.items()}
@@ -187,6 +191,7 @@ def test_readings_that_keep_still_while_no_other_sensor_moves_are_not_stuck():
     assert not [c.what for c in sensor_changes(base_trial(estimate([both]))) if "stuck" in c.what]
 
 
+@pytest.mark.thorough
 def test_a_thermocouple_that_is_clipped_before_its_noise_is_recognised():
     limit_K, noise = 1040.0, np.random.default_rng(2).normal(0.0, 1.0, len(TIME_S))
     clipped = np.where(READ["LS_surface"] > limit_K, limit_K + noise, READ["LS_surface"])

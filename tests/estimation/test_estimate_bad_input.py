@@ -220,6 +220,7 @@ def test_a_fit_that_ends_on_a_kink_has_converged_and_says_so(capsys, tmp_path):
     assert read_json(out / "estimate.json")["converged"] is True
 
 
+@pytest.mark.thorough
 def test_fit_that_does_not_converge_keeps_its_files_and_fails(capsys, tmp_path, monkeypatch):
     """A search that may take one step only."""
     monkeypatch.setattr(newton, "NewtonSettings", partial(newton.NewtonSettings, iterations=1))

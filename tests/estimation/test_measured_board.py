@@ -40,6 +40,7 @@ def test_the_deeper_joints_are_warmer_early_than_conduction_makes_them() -> None
     assert np.all(np.mean(in_gas().residual_K[2, early]) > 5.0)
 
 
+@pytest.mark.thorough
 def test_vapour_brings_part_of_that_heat() -> None:
     moist = tried(board(), VAPOUR).residual_K
     assert np.all(rmse(moist, EARLY_S) < rmse(in_gas().residual_K, EARLY_S))

@@ -157,6 +157,7 @@ def test_levels_of_noise_are_found_from_far_away(noise: ProcessNoise, levels: tu
     assert 0.6 < np.exp(np.mean(np.log(ratios))) < 1.6
 
 
+@pytest.mark.thorough
 def test_no_noise_is_found_in_records_without_any() -> None:
     bench, rng, found = bench_of(CASE), np.random.default_rng(6), []
     quiet = ProcessNoise()
@@ -168,6 +169,7 @@ def test_no_noise_is_found_in_records_without_any() -> None:
     assert np.median(found) < 0.05 * WHITE.node_K_sqrt_s
 
 
+@pytest.mark.thorough
 def test_undeclared_sensor_noise_is_found_alongside_that_of_the_process() -> None:
     bench, rng = bench_of(CASE), np.random.default_rng(8)
     measure_all(bench.problem, disturbed(bench, WHITE, 1, rng)[0][0], rng)

@@ -229,6 +229,7 @@ def test_noise_of_unrounded_samples_is_the_sum_of_squares_over_the_degrees_of_fr
     assert found.lower_K < found.sigma_K < found.upper_K
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("sigma", [1.0, 2.0, 8.0])
 def test_noise_below_and_above_the_step_of_a_word_is_found_within_its_limits(sigma: float) -> None:
     rng, trials = np.random.default_rng(20), 80

@@ -134,7 +134,7 @@ def test_time_constant_and_skew_are_found_together_from_a_manoeuvre():
     assert found.parameters["sensors.tau_s"][1] < 0.3
 
 
-@pytest.mark.sample(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("skew_s", [0.0, 1.2, -1.2])
 def test_lag_and_skew_are_found_where_a_cold_wall_meets_full_heating_at_once(tmp_path, skew_s):
     """The thermocouple rests until the flight begins, whatever the skew: not behind a ramp of its first seconds."""
@@ -148,6 +148,7 @@ def test_lag_and_skew_are_found_where_a_cold_wall_meets_full_heating_at_once(tmp
     assert found.after[0].segment_errors()["fit"]["rmse_K"] < 1.1 * record.noise_floor_K()
 
 
+@pytest.mark.thorough
 def test_a_skew_does_not_explain_a_lag_in_a_manoeuvre():
     record = surface_record()
     clock, lag = (["ratio.scale", "ratio.d_alpha", name] for name in ("clock.skew", "sensors.tau_s"))

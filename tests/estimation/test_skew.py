@@ -66,6 +66,7 @@ def test_unknown_sample_time_within_the_interval_is_a_skew(stated):
     assert off(fit, "ratio.d_alpha", 0.001) < BOUND
 
 
+@pytest.mark.thorough
 def test_start_at_a_later_time_can_be_fitted_with_a_clock_alone():
     start = partial(profile_start, time_s=270.0)
     fit = estimate([record(replace(NOISE_8_BIT, skew_s=0.3))], (CLOCK_SKEW.name,), starts=[start])

@@ -69,6 +69,7 @@ def test_start_before_the_first_reading_or_outside_the_conditions_is_refused():
         estimate([record], ["ratio.scale"], starts=[partial(profile_start, time_s=2000.0)])
 
 
+@pytest.mark.thorough
 def test_gap_before_the_start_is_bridged():
     record, truth = practice_record("p06")
     lost = (record.time_s > 400.0) & (record.time_s < 520.0)

@@ -74,6 +74,7 @@ def test_trend_in_reynolds_number_is_recovered_within_its_bounds(lost):
     assert low < chi_square(found) < high
 
 
+@pytest.mark.thorough
 def test_jet_spikes_in_the_derived_density_mislead_unless_the_jets_are_a_regressor():
     record = remade({"ratio.d_alpha": 3e-4}, jets_gain=0.5)
     names, about = ["ratio.scale", "ratio.d_alpha"], {"alpha_deg": 40.0}

@@ -257,6 +257,7 @@ def test_a_kernel_that_cannot_be_run_is_refused_with_what_to_write(effects_folde
     assert re.search(rf"effect `alpha-growth` \(.*steepness\.py\).*{what}", capsys.readouterr().err)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("value", "said"),
     [

@@ -128,6 +128,7 @@ def test_a_wrong_declaration_gets_a_line(record: Record, tmp_path: Path, old: st
         load_record(tmp_path)
 
 
+@pytest.mark.thorough
 def test_a_scenario_can_leave_declared_transition_out(record: Record, tmp_path: Path) -> None:
     laminar = made(tmp_path, "[heating]\ntransition = false\n")
     assert [u.effect.name for u in laminar.declared.heating.effects] == ["recombination"]

@@ -83,6 +83,7 @@ def test_a_quick_scenario_runs_and_is_measured(name: str) -> None:
     assert set(synthesize(chosen)) <= set(points)
 
 
+@pytest.mark.thorough
 def test_the_sts2_flight_answers_its_manoeuvres_as_the_flight_did(sts2: RunResult) -> None:
     def moves(point: str, manoeuvre: int) -> float:
         """Range of the surface temperature during a manoeuvre apart from the trend of the flight [K]."""
@@ -114,6 +115,7 @@ def test_the_sts4_pull_up_goes_above_44_deg_and_its_truth_turns_turbulent_there(
     assert onset == approx(44.0, abs=0.5)
 
 
+@pytest.mark.thorough
 def test_the_sts96_entry_covers_the_measured_history_to_landing_speed(sts96: RunResult) -> None:
     end = summary(sts96)["end"]
     assert isinstance(end, dict)

@@ -321,6 +321,7 @@ def test_a_flight_without_a_column_of_the_frames_is_refused() -> None:
 # A link ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_link_with_a_scenario_publishes_its_three_futures_every_second_of_flight() -> None:
     # no reading tells the slopes of the table: with their wide priors no limit would be kept for sure
     one = {"parameters": ["ratio.scale"]}

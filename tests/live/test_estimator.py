@@ -401,6 +401,7 @@ def left_out(e: LiveEstimator, given) -> list[Innovation]:
     return found
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("by_K", [-40.0, 15.0])
 def test_one_reading_far_off_is_left_out_as_if_it_had_been_lost(by_K):
     e, lost = estimator(), estimator()
@@ -479,6 +480,7 @@ def test_a_sensor_that_is_left_out_is_predicted_and_not_used():
     assert name in found.sensors
 
 
+@pytest.mark.thorough
 def test_what_a_sensor_read_while_it_failed_is_taken_back_when_the_flight_is_filtered_again():
     name = record().used_sensors[0].name
     wrong = [

@@ -75,6 +75,7 @@ def begun_at(record: Record, time_s: float) -> Record:
     return replace(record, conditions=conditions, thermocouples={n: v[later] for n, v in record.thermocouples.items()})
 
 
+@pytest.mark.thorough
 def test_a_record_that_begins_in_flight_carries_the_profile_at_its_start(tmp_path):
     hot = begun_at(load_record(PRACTICE / "p06"), 650.0)
     write_record(with_heated_start(hot), tmp_path / "hot")

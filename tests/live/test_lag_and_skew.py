@@ -83,6 +83,7 @@ def lagging() -> LiveEstimator:
     return follow(record(), samples())
 
 
+@pytest.mark.thorough
 def test_a_thermocouple_that_lags_is_followed_as_it_is_declared(lagging):
     """Without its lag the ratio would be off: in a wall that heats up it takes degrees away."""
     value, sigma = found(lagging).parameters["ratio.scale"]

@@ -312,6 +312,7 @@ def test_a_replay_goes_by_default_into_a_folder_that_is_not_the_flight_s(tmp_pat
     assert (Path("out") / "link" / "journal.bin").read_bytes() == before
 
 
+@pytest.mark.thorough
 def test_a_replay_is_repeated_in_its_own_folder_and_in_that_of_no_other_record(replayed: Path, cut: Path, capsys):
     before = (replayed / "journal.bin").read_bytes()
     other = part_of_record(PRACTICE / "p06", 600.0, 620.0, cut.parent / "other")

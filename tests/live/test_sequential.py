@@ -67,6 +67,7 @@ def test_innovations_that_follow_one_another_are_found_although_their_variance_i
     assert first_alarm_s(z, 1.0, 0.01) < 300.0
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("share", "tau_s"), [(0.15, 3.0), (0.25, 5.0)])
 def test_slightly_coloured_noise_raises_no_more_alarms_than_stated(share: float, tau_s: float) -> None:
     # as of white noise: 20 alarms an hour
@@ -112,6 +113,7 @@ def test_score_of_a_word_is_the_expected_innovation_within_it() -> None:
     assert score_of_word(exact, same, variance) == pytest.approx(2.0 / 3.0)
 
 
+@pytest.mark.thorough
 def test_coarse_words_raise_fewer_false_alarms_than_exact_readings() -> None:
     # words of four standard deviations: nearly all is lost, and no alarm may come of it
     rng, rate, times = np.random.default_rng(2), 20.0, []

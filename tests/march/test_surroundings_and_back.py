@@ -120,6 +120,7 @@ def bondline_peak_K(**back):
     return float(march_points([model], [with_soak(flown, 5400.0)], longest_step_s=5.0)[0].bondline_K.max())
 
 
+@pytest.mark.thorough
 def test_natural_convection_after_landing_lowers_the_peak_of_the_bondline():
     adiabatic, cooled = bondline_peak_K(), bondline_peak_K(T_K=295.0, natural_h_W_m2K=VERTICAL_TURBULENT)
     assert 3.0 < adiabatic - cooled < 60.0

@@ -80,13 +80,14 @@ def test_a_lower_angle_of_attack_cools_the_leeside_and_heats_the_leading_edge() 
     assert peak(low, "WING_LE surface") > peak(base_entry, "WING_LE surface") + 5.0
 
 
-@pytest.mark.sample(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("limit", ["WING_LE surface", "BODYFLAP surface", "V07T9975 surface"])
 def test_a_heavier_vehicle_and_a_shorter_flight_are_hotter(limit: str) -> None:
     assert peak(Case(mass_kg=84000.0), limit) < peak(Case(), limit) < peak(Case(mass_kg=104000.0), limit)
     assert peak(Case(drag_factor=0.8), limit) < peak(Case(), limit)
 
 
+@pytest.mark.thorough
 def test_drag_tracking_compensates_a_denser_atmosphere() -> None:
     thin, dense = flown(Case(density_factor=0.8)).conditions, flown(Case(density_factor=1.2)).conditions
     at = [float(np.interp(-6500.0, -c["velocity_m_s"], c["altitude_m"])) for c in (thin, dense)]
@@ -105,6 +106,7 @@ def test_a_centre_of_gravity_farther_forward_takes_the_elevon_up_and_so_does_a_b
     assert elevon(bodyflap_deg=8.0, cm_shift=0.0) < elevon(bodyflap_deg=8.0, cm_shift=0.03) - 1.0
 
 
+@pytest.mark.thorough
 def test_the_elevon_and_the_body_flap_share_the_heat() -> None:
     up, down = Case(bodyflap_deg=5.0), Case(bodyflap_deg=16.0)
     assert peak(down, "BODYFLAP surface") > peak(up, "BODYFLAP surface") + 10.0

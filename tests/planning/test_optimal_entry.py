@@ -138,6 +138,7 @@ def cartesian(motion, accelerations, planet):
     return distance - planet.radius_m, np.linalg.norm(y[3:]), np.arcsin(y[2] / distance)
 
 
+@pytest.mark.thorough
 def test_betts_controls_integrated_independently_end_at_the_same_state(betts_flights):
     def accelerations(altitude_m, speed_m_s, alpha_deg):
         force = 0.5 * float(betts.density_slug_ft3(altitude_m / betts.FT_M)) * (speed_m_s / betts.FT_M) ** 2
@@ -283,6 +284,7 @@ def test_shipped_optimal_entries_can_be_read(name):
     assert load_optimal_study(STUDIES / name).points
 
 
+@pytest.mark.thorough
 def test_without_casadi_one_line_states_what_to_install():
     code = (
         "import sys; sys.modules['casadi'] = None\n"

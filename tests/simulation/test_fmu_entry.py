@@ -62,6 +62,7 @@ def assert_same_bits(flown: Flight, expected: Flight) -> None:
         assert np.array_equal(flown.conditions[name], expected.conditions[name]), name
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_popu_on_the_fmu_is_the_built_in_flight_to_the_last_bit(
     fmi: int, entry: dict[int, Path], built_in: Flight
@@ -71,7 +72,7 @@ def test_a_popu_on_the_fmu_is_the_built_in_flight_to_the_last_bit(
     assert_same_bits(fly(entry[fmi]), built_in)
 
 
-@pytest.mark.sample(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_guidance_of_the_host_through_the_inputs_flies_it_to_the_last_bit(
     fmi: int, entry: dict[int, Path], built_in: Flight
@@ -120,6 +121,7 @@ def test_a_stop_between_two_steps_is_passed_by_the_last_one(entry: dict[int, Pat
     assert frames[-1] == 20.25
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_description_is_valid(fmi: int, entry: dict[int, Path]) -> None:
     assert validate_fmu(str(entry[fmi])) == []
@@ -147,6 +149,7 @@ def test_a_trajectory_of_another_source_is_refused(tmp_path: Path) -> None:
         export_entry(nominal, ORBITER, tmp_path / "entry.fmu")
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_trajectory_and_heating_fmu_together_give_the_plug_in_alongside_the_entry(
     fmi: int, entry: dict[int, Path], tmp_path: Path
@@ -175,6 +178,7 @@ def test_trajectory_and_heating_fmu_together_give_the_plug_in_alongside_the_entr
     assert [row["V09T9527.surface_K"] for row in rows] == surface
 
 
+@pytest.mark.thorough
 def test_the_example_heats_a_control_point_as_the_built_in_scenario_does(
     entry: dict[int, Path], tmp_path: Path
 ) -> None:

@@ -730,6 +730,7 @@ def test_command_writes_an_fmu_and_reports_its_content(tmp_path, capsys):
     assert validate_fmu(out) == []
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_odd_titles_and_names_make_a_valid_description(fmi, tmp_path):
     """A folder that begins with a digit, a bell in the title, quotes, backslashes and umlauts in names of sensors."""

@@ -51,6 +51,7 @@ def test_a_step_gives_back_coating_conductivity_and_skew(flux_W_m2: float) -> No
         assert abs(value - true) < 3.0 * sigma + (0.02 if name == SKEW else 0.002)
 
 
+@pytest.mark.thorough
 def test_a_brighter_lamp_improves_the_clock_more_than_the_coating() -> None:
     sigma = {q: {n: s for n, (_, s) in values(fitted(q)).items()} for q in (10e3, 50e3, 100e3)}
     assert sigma[10e3][SKEW] > 2.0 * sigma[50e3][SKEW] > 2.0 * sigma[100e3][SKEW]
@@ -66,6 +67,7 @@ def test_the_fitted_stack_predicts_the_thermocouples_to_their_noise() -> None:
     assert after == pytest.approx(floor, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_a_gain_error_is_distinguished_from_a_thick_coating() -> None:
     vehicle = load_vehicle("orbiter")
     wrong = {PLUG: SensorErrors(gain=1.02)}

@@ -129,7 +129,7 @@ def test_the_plugin_follows_the_wall_upstream_as_the_march_does(orbiter: Vehicle
     points = [orbiter.control_point(name) for name in names]
     plugin = HeatingPlugin(orbiter, names, longest_wait_s=0.0)
     assert plugin.names == tuple(names)
-    rows = np.array([flown[name] for name in FRAME]).T
+    rows = np.column_stack([flown[name] for name in FRAME])
     plugin.reset(rows[0])
     read = [plugin.surface_temperatures()]
     for row in rows[1:]:
@@ -192,7 +192,7 @@ def test_an_interface_without_its_wall_gets_one_line(orbiter: Vehicle, flown: Co
 
 def test_a_live_link_derives_conditions_without_the_wall_upstream(orbiter: Vehicle, flown: Conditions) -> None:
     points = [orbiter.control_point(FELT)]
-    rows = np.array([flown[name] for name in FRAME]).T
+    rows = np.column_stack([flown[name] for name in FRAME])
     histories = np.zeros((1, len(rows), N_CONDITIONS))
     derive_history(rows, host_array(orbiter), point_constants(orbiter, points), np.array([0]), histories)
     assert np.all(histories[..., UPSTREAM] == 0.0)

@@ -61,6 +61,7 @@ def disturbed(tmp_path_factory: pytest.TempPathFactory) -> Record:
 # Axial force ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_transition_in_the_truth_raises_the_axial_acceleration_in_a_step(tmp_path: Path) -> None:
     laminar = record_of(tmp_path, "")
     log10_re = laminar.conditions["log10_re"]
@@ -90,6 +91,7 @@ def test_a_transition_on_the_elevon_leaves_the_axial_force_as_it_is(tmp_path: Pa
 # Dynamic pressure -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_firing_jets_falsify_the_alpha_derivative_and_their_effect_restores_it(disturbed: Record) -> None:
     """The founding paper's density came from dynamic pressure, with a spike at each firing of the pitch jets."""
     names = ["ratio.scale", "ratio.d_alpha"]

@@ -31,6 +31,7 @@ def made() -> dict[str, Record]:
     return compared_records(scenario())
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", TILES)
 def test_stored_record_equals_that_made_from_its_scenario(name: str) -> None:
     stored, fresh = load_record(RECORDS / name.lower()), made()[name]

@@ -91,6 +91,7 @@ def test_an_altered_truth_is_in_the_readings_and_in_truth_toml_but_not_in_the_re
     assert truth["parameters"] == {"ratio.scale": 0.2}
 
 
+@pytest.mark.thorough
 def test_an_undeclared_effect_is_in_truth_toml_only(tmp_path: Path, plain: dict[str, Record]) -> None:
     effect = '[[truth.effect]]\nname = "impingement-onset"\ncontrol_points = ["V07T9975"]\n'
     chosen = scenario(tmp_path, effect, **PLAIN)
@@ -118,6 +119,7 @@ def test_a_skew_between_samples_is_stepped_to_and_not_interpolated(tmp_path: Pat
     )  # K; the steps between differ
 
 
+@pytest.mark.thorough
 def test_the_same_seed_gives_the_same_record_and_another_seed_another(tmp_path: Path) -> None:
     one, again, other = (
         synthesize(scenario(tmp_path, f"[measurements]\nseed = {seed}\n"))[PLUG].temperatures_K() for seed in (1, 1, 2)
@@ -126,6 +128,7 @@ def test_the_same_seed_gives_the_same_record_and_another_seed_another(tmp_path: 
     assert np.any(one != other)
 
 
+@pytest.mark.thorough
 def test_noise_of_one_point_does_not_depend_on_the_others_of_the_scenario(tmp_path: Path) -> None:
     both = synthesize(scenario(tmp_path))[PLUG]
     alone = synthesize(replace(scenario(tmp_path), names=(PLUG,)))[PLUG]

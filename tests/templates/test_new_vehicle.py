@@ -186,6 +186,7 @@ def test_a_trajectory_of_a_vehicle_with_surfaces_needs_their_deflections() -> No
     assert not Path("flight").exists()
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("kind", ["dispersion", "envelope", "optimal"])
 def test_a_new_study_of_a_new_scenario_validates(kind: str) -> None:
     made("scenario", "--vehicle", "capsule", "--point", "FACE", "--out", "flight")
@@ -250,7 +251,7 @@ def test_new_effects_are_found_checked_and_flown() -> None:
     assert "12 passed" in done.stdout
 
 
-@pytest.mark.sample(2)
+@pytest.mark.thorough
 @pytest.mark.parametrize("variable", ["alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg"])
 def test_the_practice_flight_of_a_new_effect_moves_its_variable(variable: str) -> None:
     """Within half a minute from the effect's centre to where it is hardly there: nothing else is as quick."""

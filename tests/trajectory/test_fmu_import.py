@@ -77,6 +77,7 @@ def test_a_co_simulation_fmu_flies_its_closed_form(fmi: str, binary: Path, tmp_p
     assert c["velocity_m_s"] == approx(speed, rel=1e-13)
 
 
+@pytest.mark.sample(1)
 @needs_compiler
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_a_model_exchange_fmu_is_integrated_to_its_tolerance_through_a_time_event(

@@ -192,6 +192,7 @@ def test_a_hanging_fmu_ends_with_the_process_that_flies_it(
 # ---- at the start -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_a_crash_at_instantiation_is_reported(fmi: str, tmp_path: Path) -> None:
     path = glide_fmu(tmp_path / "glide.fmu", library(tmp_path, "-DCRASH_AT_INSTANTIATE"), fmi)

@@ -201,6 +201,7 @@ def test_a_tail_wind_adds_to_the_ground_speed() -> None:
 # The entry
 
 
+@pytest.mark.thorough
 def test_the_orbiter_is_captured_and_comes_down_to_mach_2_5(quiet_flight: Flight) -> None:
     c = quiet_flight.conditions
     assert c["mach"][-1] == approx(2.5, abs=0.02)
@@ -554,6 +555,7 @@ def fly_on(flight: jsbsim.JSBSimEntry) -> None:
             flight.step()
 
 
+@pytest.mark.thorough
 def test_an_entry_above_circular_speed_skips_out() -> None:
     fast = {**ENTRY_INTERFACE, "velocity_m_s": 7600.0}
     with pytest.raises(RunError, match=r"skipped out at \d+\.\d\d s: altitude 127"):
