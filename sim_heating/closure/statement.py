@@ -163,11 +163,10 @@ class Statement:
 
     @property
     def noise_floors(self) -> float:
-        """RMS residual over noise of the segments held out, of the fitted samples where there are none [-]."""
+        """RMS residual over noise, of the fitted samples or of those held out, where it is larger [-]."""
         if self.adequacy is None:
             return math.nan
-        chi2 = self.adequacy.chi2_fit if self.adequacy.chi2_holdout is None else self.adequacy.chi2_holdout
-        return math.sqrt(max(chi2, 0.0))
+        return math.sqrt(max(self.adequacy.chi2_fit, self.adequacy.chi2_holdout or 0.0, 0.0))
 
     @property
     def named(self) -> str:
@@ -212,7 +211,8 @@ class Statement:
     @property
     def _where(self) -> str:
         """The samples that `noise_floors` is of."""
-        held_out = self.adequacy is not None and self.adequacy.chi2_holdout is not None
+        of = self.adequacy
+        held_out = of is not None and of.chi2_holdout is not None and of.chi2_holdout >= of.chi2_fit
         where = "on the segments held out" if held_out else "in the fitted samples"
         return where if self.model_error is None else f"{where} beyond the model's own error"
 

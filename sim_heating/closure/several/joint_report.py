@@ -76,10 +76,8 @@ class JointClosure:
 
     @property
     def named(self) -> str:
-        """What was found in common; "unknown" or "none"."""
-        if self.search.explained:
-            return " + ".join(" or ".join(names) for names in self.statement.alternatives)
-        return self.effects[0].name
+        """What was found in common, or what the records resemble; "unknown" or "none"."""
+        return self.statement.named or self.effects[0].name
 
     @cached_property
     def credibility(self) -> Credibility:
@@ -317,11 +315,17 @@ def _residuals_section(found: JointClosure) -> Section:
     charts: list[Chart] = []
     picture = Picture(partial(residuals_figure, found), "Measured minus predicted, by record; held-out spans shaded.")
     for closure, after in zip(found.closures, found.after, strict=True):
-        curves = [(closure.before, BEFORE, "declared model fitted")]
-        curves += [(after, AFTER, f"with {found.named}")] if after is not closure.before else []
+        curves = _curves(found, closure, after)
         chart = fit_chart(closure.record, curves, picture, temperatures=False)
         charts.append(replace(chart, pictured=not charts))  # one picture shows them all
     return Section("Residuals side by side", charts=charts)
+
+
+def _curves(found: JointClosure, closure: Closure, after: Prediction) -> list[tuple[Prediction, str, str]]:
+    """What a record is compared with: prediction, colour and words of each."""
+    curves = [(closure.before, BEFORE, "declared model fitted")]
+    cause = " + ".join(found.search.compared.names)
+    return curves if after is closure.before else [*curves, (after, AFTER, f"with {cause}")]
 
 
 def residuals_figure(found: JointClosure) -> Figure:
@@ -331,8 +335,7 @@ def residuals_figure(found: JointClosure) -> Figure:
     for a, closure, after in zip(axes, found.closures, found.after, strict=True):
         record = closure.record
         judged = record.fit_mask() | record.holdout_mask()
-        curves = [(closure.before, BEFORE, "declared model fitted")]
-        curves += [(after, AFTER, f"with {found.named}")] if after is not closure.before else []
+        curves = _curves(found, closure, after)
         for prediction, color, label in curves:
             for k, i in enumerate(i for i, s in enumerate(record.sensors) if s.used):
                 own = label if k == 0 else None
