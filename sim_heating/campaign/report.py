@@ -22,6 +22,7 @@ from sim_heating.closure.report import closures_table
 from sim_heating.credibility.section import credibility_section
 
 SUMMARY, FITS_CSV, ERRORS_CSV, PAGE = FILES = "campaign.json", "fits.csv", "errors.csv", "report.html"
+NEXT_FLIGHT = "next_flight.toml"
 
 
 def write_csvs(folder: Path, result: CampaignResult) -> None:
@@ -78,7 +79,8 @@ def campaign_page(result: CampaignResult) -> Page:
     """Flights, findings, fits, their agreement, the revised tables and what they predict."""
     sections = [
         _flights_section(result), *_errors_section(result), *_tables_section(result), *_closed_section(result),
-        *_joint_section(result), *_fits_sections(result), credibility_section(result.credibility.as_json()),
+        *_joint_section(result), *_ageing_section(result), *_fits_sections(result),
+        credibility_section(result.credibility.as_json()),
     ]  # fmt: skip
     vehicle = result.campaign.vehicle
     count = f"{_counted(len(result.flights), 'flight')}, {_counted(len(result.points), 'control point')}"
@@ -272,6 +274,36 @@ def _joint_section(result: CampaignResult) -> list[Section]:
     )
     table = Table("", columns, cells, low, sortable=len(cells) > SORTABLE, choices=["control point", "manoeuvre"])
     return [Section("Do the flights agree?", [text], tables=[table])]
+
+
+def _ageing_section(result: CampaignResult) -> list[Section]:
+    """How parameters walk from flight to flight."""
+    if not result.walks:
+        return []
+    columns = [
+        Column("control point"), Column("parameter", is_text=True), Column("flight", is_text=True),
+        Column("by this flight", format=".4g"), Column("sigma", format=".2g"),
+        Column("with those before", format=".4g"), Column("sigma", "known_sigma", format=".2g"),
+    ]  # fmt: skip
+    rows = [
+        [w.control_point, w.parameter, flight, *measured, *known]
+        for w in result.walks
+        for flight, measured, known in zip(w.flights, w.measured, w.known, strict=True)
+    ]
+    rows += [
+        [w.control_point, w.parameter, "the next", math.nan, math.nan, w.next_value, w.next_sigma] for w in result.walks
+    ]
+    text = (
+        "Each parameter walks from flight to flight by the declared standard deviation. The last rows are what is "
+        "known before the next flight."
+    )
+    low = [w for w in result.walks if w.p_value is not None and w.p_value < IMPROBABLE]
+    points = [
+        f"{w.control_point}, {w.parameter}: the flights differ by more than their bounds and a walk of "
+        f"{w.sigma_per_flight:g} per flight (p = {w.p_value:.1g})"
+        for w in low
+    ]
+    return [Section("Ageing", [text], points, [Table("", columns, rows, sortable=len(rows) > SORTABLE)])]
 
 
 def _tables_section(result: CampaignResult) -> list[Section]:

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.base.files.package import package_version
+from sim_heating.campaign.ageing import Walk, walks_of_fits
 from sim_heating.campaign.flights import CampaignFlight
 from sim_heating.campaign.joint import Group
+from sim_heating.campaign.manoeuvre_fits import usable
 from sim_heating.campaign.spec import Campaign
 from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO, facts_of_readings, of_several
 from sim_heating.credibility.reviews import digest_of
@@ -50,6 +52,12 @@ class CampaignResult:
     def __repr__(self) -> str:
         fits = f"{len(self.fits)} fits, {len(self.joint)} of several flights"
         return f"<CampaignResult {self.campaign.title!r}: {len(self.flights)} flights, {fits}>"
+
+    @cached_property
+    def walks(self) -> list[Walk]:
+        """Parameters that age, along the flights, by the fits of single flights that are usable."""
+        rows = [row for row in self.fits if not usable(row)]
+        return walks_of_fits(rows, self.campaign.declared.ageing, [f.name for f in self.flights])
 
     @cached_property
     def credibility(self) -> Statement:
@@ -109,6 +117,7 @@ class CampaignResult:
             "closed": self.closed,
             "fits": self.fits,
             "joint": self.joint,
+            "ageing": [vars(walk) for walk in self.walks],
             "omitted": self.omitted,
             "updates": self.updates,
             "refused": self.refused,

@@ -7,6 +7,7 @@ the tables, and report.
     DIR/joint/POINT/MANOEUVRE          the fit of all flights that flew it
     DIR/tables/VEHICLE                 the vehicle with its revised tables
     DIR/campaign.json, .csv, report.html
+    DIR/next_flight.toml               what is known before the next flight of parameters that age
 
 Every finished part is kept in a ledger: a campaign that was interrupted goes on where it stopped, and one whose inputs
 have changed repeats what depends on them.
@@ -31,15 +32,17 @@ from sim_heating.base.files import (
     results_digest,
     settle_below,
     write_json,
+    write_text_atomic,
 )
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel.batches import Job, Outcome, run_batches
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.campaign.ageing import next_flight_settings
 from sim_heating.campaign.carried import Carried, agreed, mean_estimates, read_carried
 from sim_heating.campaign.flights import CampaignFlight, flights_of_records, record_directories, with_seed
 from sim_heating.campaign.joint import agreement, groups_of
 from sim_heating.campaign.manoeuvre_fits import FitTask, FittedSpan, fit_job, fitted_span, run_fit, usable  # fmt: skip
-from sim_heating.campaign.report import FILES, PAGE, SUMMARY, write_campaign_page, write_csvs
+from sim_heating.campaign.report import FILES, NEXT_FLIGHT, PAGE, SUMMARY, write_campaign_page, write_csvs
 from sim_heating.campaign.result import CampaignResult
 from sim_heating.campaign.spec import Campaign, FlightInput, ManoeuvreSettings, load_campaign
 from sim_heating.campaign.tables import revise_tables
@@ -142,6 +145,8 @@ def run_campaign(
         with output_directory(out, COMMAND, inputs=campaign.files) as folder:
             write_json(folder / SUMMARY, result.as_json())
             write_csvs(folder, result)
+            if result.walks:
+                write_text_atomic(folder / NEXT_FLIGHT, next_flight_settings(result.walks))
             write_campaign_page(folder / PAGE, result)
     return result
 
@@ -313,6 +318,9 @@ def _fit_jointly(
             records = [flights[name].records[point] for name in names]
             first = next(m for name, m in group.members if name == names[0])
             settings = result.campaign.settings(names[0], point, first)
+            if ageing := [n for n in settings.parameters or () if n in result.campaign.declared.ageing]:
+                result.omitted.append(f"{point}, {group.name}: not fitted jointly, since {', '.join(ageing)} changes")
+                continue
             task = FitTask(
                 point, group.name, group.name, names, tuple(str(r.directory) for r in records),
                 tuple((s[0], s[1]) for r in good for s in r["segments"]), str(engine.out / JOINT / point / group.name),

@@ -13,6 +13,8 @@ check = true                        # revises no table; its temperatures are pre
 [fit]                               # of each manoeuvre, from before_s before it to after_s after it
 [[fit_of]]                          # other settings for some: flight, control_point, manoeuvre, and keys of [fit]
 [joint]                             # one fit of all flights that flew a manoeuvre at the same speed
+[ageing]                            # parameters that walk from flight to flight, and how far in one [1 sigma]
+"stack.emissivity_factor" = 0.01
 close_loop = true                   # what the declared model lacks, from each whole record
 update_tables = true
 """
@@ -22,7 +24,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -37,7 +39,7 @@ from sim_heating.base.files import (
     roots_of,
 )
 from sim_heating.campaign.flights import Manoeuvre, with_seed
-from sim_heating.inputs.fit_settings import ParameterSettings
+from sim_heating.inputs.fit_settings import ParameterSettings, dotted
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
 
@@ -125,6 +127,9 @@ class CampaignFile(Declared):
     fit: ManoeuvreSettings = ManoeuvreSettings()
     fit_of: list[SelectedFit] = Field(default=[])
     joint: Joint = Joint()
+    ageing: Annotated[dict[str, float], dotted(float)] = Field(
+        default_factory=dict, description="name = standard deviation of its change from one flight to the next"
+    )
     close_loop: bool = True
     update_tables: bool = True
 
@@ -133,6 +138,13 @@ class CampaignFile(Declared):
         problems: list[tuple[Location, str]] = []
         if all(f.check for f in self.flight):
             problems.append((("flight",), "all are `check`; one at least must be fitted and revise the tables"))
+        for name, sigma in self.ageing.items():
+            if not sigma >= 0.0:
+                problems.append((("ageing", name), f"{sigma} must be a standard deviation, 0 or above"))
+            if name not in (self.fit.parameters or []):
+                problems.append((("ageing", name), "no fit estimates it; add it to `parameters` of [fit]"))
+            if name in self.fit.prior or name in self.fit.fix:
+                problems.append((("ageing", name), "has a value beforehand in [fit], which every flight would count"))
         if problems:
             raise LocatedError(*problems)
         return self

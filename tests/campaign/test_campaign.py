@@ -47,16 +47,21 @@ check = true
 """
 
 
+def write_doublet(path: Path, truth: dict[str, float]) -> None:
+    """A scenario that ends after its manoeuvre, with a truth that its tables do not have."""
+    text = (SCENARIOS / "entry_3dof.toml").read_text()
+    text = text[: text.index("[measurements]")].replace("mach = 2.5", "velocity_m_s = 5950.0")
+    lines = [line for line in text.splitlines() if not line.startswith("control_points")]
+    parameters = ", ".join(f'"{n}" = {v}' for n, v in truth.items())
+    head = "\n".join(lines).replace("[trajectory]\n", f'control_points = ["{POINT}"]\n[trajectory]\n', 1)
+    path.write_text(f"{head}\n[truth]\nparameters = {{ {parameters} }}\n")
+
+
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a scenario, a campaign of it, and the results of the campaign in `out`."""
     folder = tmp_path_factory.mktemp("campaign")
-    text = (SCENARIOS / "entry_3dof.toml").read_text()
-    text = text[: text.index("[measurements]")].replace("mach = 2.5", "velocity_m_s = 5950.0")
-    lines = [line for line in text.splitlines() if not line.startswith("control_points")]
-    truth = ", ".join(f'"{n}" = {v}' for n, v in TRUTH.items())
-    head = "\n".join(lines).replace("[trajectory]\n", f'control_points = ["{POINT}"]\n[trajectory]\n', 1)
-    (folder / "doublet.toml").write_text(f"{head}\n[truth]\nparameters = {{ {truth} }}\n")
+    write_doublet(folder / "doublet.toml", TRUTH)
     (folder / "campaign.toml").write_text(CAMPAIGN)
     assert main(["campaign", str(folder / "campaign.toml"), "--out", str(folder / "out"), "--workers", "1"]) == 0
     return folder
@@ -214,3 +219,26 @@ def test_fits_of_one_point_take_the_name_that_all_its_records_allow() -> None:
     # without a name in common every record keeps its own
     apart = [Carried(((heat,),), of_heat, "found"), Carried(((coating,),), of_coating, "found")]
     assert [tuple(c.found) for c in agreed(apart)] == [(heat,), (coating,)]
+
+
+@pytest.mark.thorough
+def test_a_coating_that_loses_emittance_is_followed_from_flight_to_flight(tmp_path: Path) -> None:
+    emittance = "stack.emissivity_factor"
+    truths = {"first": 1.0, "second": 0.9}
+    for name, factor in truths.items():
+        write_doublet(tmp_path / f"{name}.toml", {emittance: factor})
+    flights = "".join(f'[[flight]]\nscenario = "{name}.toml"\nseeds = [21]\n' for name in truths)
+    text = CAMPAIGN[: CAMPAIGN.index("[fit]")] + f'[fit]\nparameters = ["{emittance}"]\nstart = "declared"\n{flights}'
+    (tmp_path / "campaign.toml").write_text(f'{text}[ageing]\n"{emittance}" = 0.05\n')
+    assert main(["campaign", str(tmp_path / "campaign.toml"), "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
+    report = read_json(tmp_path / "out" / "campaign.json")
+    (walk,) = report["ageing"]
+    assert walk["flights"] == ["first-seed21", "second-seed21"]
+    for (value, sigma), truth in zip(walk["known"], truths.values(), strict=True):
+        assert abs(value - truth) < 3.5 * sigma
+    assert walk["next_sigma"] > walk["known"][-1][1]
+    assert report["joint"] == []
+    assert "Ageing" in (tmp_path / "out" / "report.html").read_text()
+    record = tmp_path / "out" / "records" / "second-seed21"
+    settings = ["--settings", str(tmp_path / "out" / "next_flight.toml"), "--parameters", emittance]
+    assert main(["estimate", str(record), *settings, "--out", str(tmp_path / "fit")]) == 0
