@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from sim_heating.closure.search.search import SearchResult
 
 SEED = 24
-SEEDS = 20
+FLOWN, PAPER = "flown", "paper"
+SEEDS = {FLOWN: 20, PAPER: 10}
 """Seeds of the noise of the project's own flights."""
 LEDGER = Path("out") / "closure_challenge"
-FLOWN = "flown"
 NAMED = ("found", "one of")
 SURE = 0.95
 """Probability from which on a finding is meant to be relied on."""
@@ -70,6 +70,8 @@ LIBRARY = {
 REFUSED = {"finding": "refused", "alternatives": [], "probability": 0.0, "calibrated": False, "not_effects": [],
            "p_value": None, "converged": True, "effects_stated": []}  # fmt: skip
 """What is kept of a record that is not read."""
+SHORT = 3
+"""Names that cannot be told apart, in one set of a statement at most."""
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 """Limits of the probabilities that are counted together."""
 
@@ -82,27 +84,27 @@ def jobs(classes: Sequence[str], share: float, worlds: Sequence[str] = ("exact",
     wanted = []
     for world in worlds:
         sizes = {c: WORLDS[world][c] for c in classes if c in WORLDS[world]}
-        for c, k in whole_set(sum(sizes.values()), tuple(sizes), world):
+        for c, k in whole_set(sum(sizes.values()), tuple(sizes), world) if sizes else ():
             if k < max(share * sizes[c], 1):
                 name = name_of(k, c, world != "exact")
                 wanted.append(((k + 0.5) / sizes[c], Job(f"{name}.json", (c, k, world != "exact", seed))))
-    if FLOWN in classes and "exact" in worlds:
-        names = flown_names()
-        count = max(round(share * SEEDS), 1)
-        few = [name for name in names if int(name.rpartition("-")[2]) <= count]
-        flown = [Job(f"{name}.json", (FLOWN, name, False, seed)) for name in few]
-        wanted += [((i + 0.5) / len(few), job) for i, job in enumerate(flown)]
+    for c in SEEDS if "exact" in worlds else ():
+        if c not in classes:
+            continue
+        count = max(round(share * SEEDS[c]), 1)
+        few = [name for name in flown_names(c) if int(name.rpartition("-")[2]) <= count]
+        wanted += [((i + 0.5) / len(few), Job(f"{name}.json", (c, name, False, seed))) for i, name in enumerate(few)]
     return [job for _, job in sorted(wanted, key=lambda w: (w[0], w[1].id))]
 
 
-def flown_names() -> list[str]:
+def flown_names(of_class: str) -> list[str]:
     """Names of the project's own flights as records, which are made first where they are not there."""
-    folder = LEDGER / "records"
+    folder = LEDGER / of_class
     if not (folder / "answers.toml").is_file():
         from benchmarks.challenge.flown import write_all
 
         click.echo("flying the scenarios")
-        write_all(SEEDS, folder)
+        write_all(of_class, SEEDS[of_class], folder)
     return sorted(_answers(folder), key=lambda name: (name.rpartition("-")[2], name))
 
 
@@ -117,11 +119,11 @@ def make_and_close(task: tuple[str, int | str, bool, int]) -> bytes:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     of_class, which, imperfect, seed = task
     if isinstance(which, str):
-        answer = _answers(LEDGER / "records")[which]
-        return json.dumps(closed(LEDGER / "records" / which, answer)).encode()
-    with tempfile.TemporaryDirectory() as folder:
-        name, answer, _ = make_challenge((seed, which, of_class, Path(folder), imperfect))
-        return json.dumps(closed(Path(folder) / name, answer)).encode()
+        folder = LEDGER / of_class
+        return json.dumps(closed(folder / which, _answers(folder)[which])).encode()
+    with tempfile.TemporaryDirectory() as made:
+        name, answer, _ = make_challenge((seed, which, of_class, Path(made), imperfect))
+        return json.dumps(closed(Path(made) / name, answer)).encode()
 
 
 def closed(directory: Path, answer: Mapping[str, Any]) -> dict[str, Any]:
@@ -147,7 +149,7 @@ def closed(directory: Path, answer: Mapping[str, Any]) -> dict[str, Any]:
     truth = row.get("true_rmse_K", {})
     if row["class"] == "one" and any(after[p] > 1.1 * truth[p] for p in after.keys() & truth.keys()):
         row["known_K"] = rmse_K(search_of_effect(loop.search, row["effects"][0]))
-    if row["class"] == FLOWN and not is_right(row):
+    if row["class"] in SEEDS and not is_right(row):
         row["bic_of_truth_above_finding"] = bic_of_truth_above(record, answer, loop.fitted.fit, loop.fitted.problem)
     return row
 
@@ -342,9 +344,9 @@ def share_of(
 
 def figures_of(rows: Sequence[dict[str, Any]]) -> list[Figure]:
     """The table of figures: findings by class, probabilities, sets, errors, time."""
-    of = {c: [r for r in rows if r["class"] == c] for c in (*CLASS_NAMES, FLOWN)}
+    of = {c: [r for r in rows if r["class"] == c] for c in (*CLASS_NAMES, *SEEDS)}
     faults = [r for c in ("wall", "flight", "sensor") for r in of[c]]
-    figures = [*_of_flown(of[FLOWN]), *_of_probabilities(rows), *_of_sets(rows)]
+    figures = [*_of_flown(of[FLOWN]), *_of_paper(of[PAPER]), *_of_probabilities(rows), *_of_sets(rows)]
     for of_class, target in (("one", 0.95), ("two", 0.9), ("three", None), ("table", None), ("unknown", None)):
         bound = 0.0 if target is None else target
         figures += share_of(
@@ -369,6 +371,21 @@ def _of_flown(rows: Sequence[dict[str, Any]]) -> list[Figure]:
     return figures + share_of("sts2, sts4: not converged", rows, lambda r: not r["converged"], 0.0, False)
 
 
+def _of_paper(rows: Sequence[dict[str, Any]]) -> list[Figure]:
+    """The pod of the founding paper: every cause in the statement, in short lists, and none that is wrong."""
+
+    def all_stated(row: Mapping[str, Any]) -> bool:
+        sets = things(row)
+        short = all(len(names) <= SHORT for names in sets)
+        return short and all(any({*true} & {*names} for names in sets) for true in truth_of(row))
+
+    def wrong_found(row: Mapping[str, Any]) -> bool:
+        return row["finding"] == "found" and not is_right(row)
+
+    figures = share_of(f"paper's pod: every cause in lists of at most {SHORT}", rows, all_stated, 0.85)
+    return figures + share_of("paper's pod: `found`, one wrong or one missing", rows, wrong_found, 0.0, False)
+
+
 def is_statement(row: Mapping[str, Any]) -> bool:
     """Whether a report names something, or states that there is nothing."""
     return row["finding"] in (*NAMED, "none")
@@ -382,7 +399,7 @@ def is_stated(row: Mapping[str, Any]) -> bool:
 def _of_probabilities(rows: Sequence[dict[str, Any]]) -> list[Figure]:
     sure = [r for r in rows if is_stated(r) and r["probability"] >= SURE]
     figures = share_of(f"stated with {SURE} or more: right", sure, is_right, 0.95)
-    for of_class in (*CLASSES, FLOWN):
+    for of_class in (*CLASSES, *SEEDS):
         some = [r for r in sure if r["class"] == of_class]
         figures += share_of(f"stated with {SURE} or more: right, {of_class}", some, is_right, 0.0)
         if len(some) >= 40:
@@ -458,7 +475,7 @@ def reliability(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def by_class(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, int]]:
     """Class -> verdict -> how many."""
     verdicts = ("right", "undecided", "missed", "wrong")
-    counted = {c: [verdict(r) for r in rows if r["class"] == c] for c in (*CLASS_NAMES, FLOWN)}
+    counted = {c: [verdict(r) for r in rows if r["class"] == c] for c in (*CLASS_NAMES, *SEEDS)}
     return {c: {v: found.count(v) for v in verdicts} for c, found in counted.items() if found}
 
 
@@ -488,7 +505,7 @@ def figures_and_results(
 
 
 def run(
-    classes: Sequence[str] = (*CLASS_NAMES, FLOWN),
+    classes: Sequence[str] = (*CLASS_NAMES, *SEEDS),
     share: float = 1.0,
     worlds: Sequence[str] = tuple(WORLDS),
     seed: int = SEED,
@@ -517,7 +534,7 @@ def _progress(fraction: float, text: str) -> None:
 
 @click.command(help="Close the loop on the classes of `challenge` and on the project's own flights.")
 @click.option("--share", type=click.FloatRange(0.0, 1.0), default=1.0, show_default=True, help="of every class")
-@click.option("--classes", default="all", help=f"some of {', '.join((*CLASS_NAMES, FLOWN))}, with commas")
+@click.option("--classes", default="all", help=f"some of {', '.join((*CLASS_NAMES, *SEEDS))}, with commas")
 @click.option("--world", type=click.Choice([*WORLDS, "both"]), default="exact", show_default=True, help="of the models")
 @click.option("--seed", type=click.IntRange(0), default=SEED, show_default=True, help="of the records")
 @click.option("--processes", type=click.IntRange(1), default=2, show_default=True)
@@ -527,7 +544,7 @@ def main(share: float, classes: str, world: str, seed: int, processes: int, figu
     from benchmarks.closure_study import study_text
 
     worlds = tuple(WORLDS) if world == "both" else (world,)
-    everything = (*dict.fromkeys(c for w in worlds for c in WORLDS[w]), *([FLOWN] if "exact" in worlds else []))
+    everything = (*dict.fromkeys(c for w in worlds for c in WORLDS[w]), *(SEEDS if "exact" in worlds else ()))
     chosen = everything if classes == "all" else tuple(name.strip() for name in classes.split(","))
     unknown = [name for name in chosen if name not in everything]
     if unknown:

@@ -415,16 +415,6 @@ def findings_practice(results: Results) -> str:
     return markdown_table(head, rows)
 
 
-def findings_tiles(results: Results) -> str:
-    """Finding of each measured tile, and where most of its residual remains."""
-    rows = []
-    for tile in TILES:
-        r = results["rows"][f"sts96_{tile}"]
-        most = f"{r['most_remains']}, {r['noise_floors_there']:.1f} noise floors"
-        rows.append([tile, f"`{r['finding']}`: {r['named']}", f"{r['noise_floors']:.1f}, {_p_value(r)}", most])
-    return markdown_table(("tile of STS-96", "finding", "noise floors held out, p", "most remains"), rows)
-
-
 def _p_value(row: Mapping[str, Any]) -> str:
     return f"{row['p_value']:.2f}" if row["p_value"] >= POLICY.min_p_value else "below 1e-6"
 
@@ -444,6 +434,5 @@ TABLES: Mapping[str, Callable[[Results], str]] = {
     "covariance, kinds": covariance_kinds,
     "kaowool, mechanisms": kaowool_mechanisms,
     "findings, practice": findings_practice,
-    "findings, tiles": findings_tiles,
 }
 """What stands behind `results of` on a page -> the function that writes it."""

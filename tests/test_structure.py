@@ -12,11 +12,6 @@ import pytest
 from tests.support.paths import ROOT
 from tests.support.structure import FOLDERS, PACKAGE, PAGE, folder, imports, modules, page
 
-ENTRIES = 12
-"""Most entries of a folder, `__init__.py` and data aside."""
-LONG = {"heating/effects": 26, "trajectory": 14, "cli": 22, "live/filtering": 15}
-"""Folders that may have more: the catalogue of effects, sources of trajectories, the commands, the live filter."""
-
 
 def test_every_folder_of_the_package_is_in_the_order_of_the_data():
     assert {p.parent.name for p in PACKAGE.glob("*/__init__.py")} == set(FOLDERS)
@@ -66,13 +61,6 @@ def test_closing_a_loop_imports_no_page():
         if isinstance(node, ast.ImportFrom) and (node.module in pages or "base.report" in str(node.module))
     ]
     assert not wrong, "\n".join(wrong)
-
-
-def test_no_folder_has_more_entries_than_a_reader_takes_in():
-    for place in {p.parent for p in modules().values()} - {PACKAGE}:
-        entries = [p for p in place.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()]
-        name = place.relative_to(PACKAGE).as_posix()
-        assert len(entries) - 1 <= LONG.get(name, ENTRIES), name
 
 
 def test_the_picture_of_the_architecture_is_that_of_the_imports():

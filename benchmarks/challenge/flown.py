@@ -1,4 +1,4 @@
-"""The project's own flights as records: every control point of sts2 and sts4 with several seeds of the noise.
+"""The project's own flights as records: every control point of a scenario with several seeds of the noise.
 
     python -m benchmarks.challenge.flown --seeds 20 --out out/flown
 
@@ -21,7 +21,8 @@ from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.simulation.run import fly_scenario
 from sim_heating.simulation.synthesize import synthesize
 
-FLIGHTS = ("sts2", "sts4")
+FLIGHTS = {"flown": ("sts2", "sts4"), "paper": ("sts2_paper",)}
+"""Scenarios of a class of records: those shipped, and the pod as the founding paper reports of it."""
 PARAMETERS = {
     "stack.coating.thickness_factor": "coating-thickness",
     "stack.insulation.conductivity_factor": "conductivity",
@@ -30,7 +31,7 @@ PARAMETERS = {
 """Parameters of a truth by the effect that reports them."""
 
 
-def flown_records(flight: str, seeds: int) -> Iterator[tuple[str, Record, dict[str, Any]]]:
+def flown_records(of_class: str, flight: str, seeds: int) -> Iterator[tuple[str, Record, dict[str, Any]]]:
     """Name, record and truth of every control point of a scenario, with noise of seeds 1, 2 and so on.
 
     The flight is flown once.
@@ -41,7 +42,7 @@ def flown_records(flight: str, seeds: int) -> Iterator[tuple[str, Record, dict[s
         measurements = scenario.declared.measurements.model_copy(update={"seed": seed})
         declared = scenario.declared.model_copy(update={"measurements": measurements})
         for point, record in synthesize(replace(scenario, declared=declared), flight=flown).items():
-            yield f"{flight}-{point}-{seed:02d}", record, truth(scenario, point)
+            yield f"{flight}-{point}-{seed:02d}", record, {"class": of_class} | truth(scenario, point)
 
 
 def truth(scenario: Scenario, point: str) -> dict[str, Any]:
@@ -51,7 +52,6 @@ def truth(scenario: Scenario, point: str) -> dict[str, Any]:
     acting = [e for e in declared.effect if e.control_points is None or point in e.control_points]
     effects = [PARAMETERS[name] for name in parameters] + [e.name for e in acting]
     return {
-        "class": "flown",
         "form": [*effects] or ["none"],
         "flight": scenario.path.stem,
         "wall": point,
@@ -64,20 +64,21 @@ def truth(scenario: Scenario, point: str) -> dict[str, Any]:
 
 @click.command(help="Write the project's own flights as records, and answers.toml next to them.")
 @click.option("--seeds", type=click.IntRange(1), default=20, show_default=True, help="seeds of the noise, from 1 on")
+@click.option("--of", "of_class", type=click.Choice([*FLIGHTS]), default="flown", show_default=True)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="a new directory")
-def main(seeds: int, out: Path) -> None:
+def main(seeds: int, of_class: str, out: Path) -> None:
     """Fly, measure and write."""
     if out.exists() and any(out.iterdir()):
         raise click.BadParameter(f"`{out}` is not empty; give a new directory")
-    write_all(seeds, out)
+    write_all(of_class, seeds, out)
 
 
-def write_all(seeds: int, out: Path) -> dict[str, dict[str, Any]]:
-    """Write all records, answers.toml last; the truth by record."""
+def write_all(of_class: str, seeds: int, out: Path) -> dict[str, dict[str, Any]]:
+    """Write all records of a class, answers.toml last; the truth by record."""
     out.mkdir(parents=True, exist_ok=True)
     answers = {}
-    for flight in FLIGHTS:
-        for name, record, answer in flown_records(flight, seeds):
+    for flight in FLIGHTS[of_class]:
+        for name, record, answer in flown_records(of_class, flight, seeds):
             write_record(record, out / name)
             answers[name] = answer
     (out / "answers.toml").write_text(toml_text(answers))

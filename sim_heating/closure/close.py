@@ -31,6 +31,7 @@ from sim_heating.closure.clues.record_checks import (
 )
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
 from sim_heating.closure.curves import curve_of
+from sim_heating.closure.plain_marches import plain_marches
 from sim_heating.closure.prior.findings import table_error, table_findings
 from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.prior.table import table_prior
@@ -55,7 +56,6 @@ from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.tell_apart import tell_apart
 from sim_heating.closure.search.trials.told_error import told_error
 from sim_heating.closure.search.trials.trial_fit import (
-    CONVERGE,
     QUICK,
     WIDENED,
     TrialFit,
@@ -66,7 +66,7 @@ from sim_heating.closure.search.trials.trial_fit import (
 )
 from sim_heating.closure.verdict.calibration import false_alarm_statement, features, probability
 from sim_heating.closure.verdict.policy import POLICY
-from sim_heating.estimation.fit import FitResult, estimate, fit_problem, predict_fit
+from sim_heating.estimation.fit import FitResult, estimate, fit_problem
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.outliers import outlier_lines, without_outliers
 from sim_heating.estimation.problem import FitOptions, FitProblem
@@ -74,7 +74,6 @@ from sim_heating.estimation.record_fit import LAG_NAME
 from sim_heating.estimation.report.estimate_file import NAME, Estimate
 from sim_heating.estimation.report.remarks import remarks, samples_in_words
 from sim_heating.estimation.report.report import FIT_FILES, estimate_contents, noise_floor_K, write_fit_data
-from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import effects
 from sim_heating.heating.effects.added_curve import ADDED_CURVE
 from sim_heating.heating.effects.curve import FIRST, LABELS, UNITS, VALUES, CurveBand
@@ -206,28 +205,12 @@ def _stated(result: SearchResult) -> SearchResult:
 def _refitted(result: SearchResult) -> tuple[FitResult, Prediction, ResidualHeating | None]:
     """The last fit, its plain prediction, and where a cause was found what is missing after it."""
     fitted = refit(result)
-    return fitted, plain_predictions(fitted)[0], _residual_after(fitted) if result.explained else None
+    return fitted, plain_marches(fitted)[0], _residual_after(fitted) if result.explained else None
 
 
 def _before(result: SearchResult) -> Prediction:
     """The plain prediction of the declared model, as that of the last fit is made."""
-    return plain_predictions(_declared(result))[0]
-
-
-def plain_predictions(fitted: FitResult) -> Sequence[Prediction]:
-    """By record, the plain march of a fit, whose model has no smooth error of the heating.
-
-    Where the fit has one, the model is fitted once more without it: its parameters, the flight and slow noise are free
-    as before. What errors are told of is then not left to an error that no march has.
-    """
-    problem = fitted.problem.without_heating_error()
-    if problem is fitted.problem:
-        return fitted.after
-    fit = maximise_together([problem], [fitted.fit.values], CONVERGE)[0]
-    if not np.isfinite(fit.log_likelihood):
-        return fitted.after
-    errors = problem.errors(fit.values)
-    return [predict_fit(part, fit.values, u) for part, u in zip(problem.record_fits, errors, strict=True)]
+    return plain_marches(_declared(result))[0]
 
 
 def _declared(result: SearchResult) -> FitResult:
@@ -629,16 +612,20 @@ def _candidate_scores(result: SearchResult) -> list[CandidateScore]:
 def rmse_K(trial: TrialFit, problem: FitProblem) -> float:
     """RMSE of the fitted samples of a trial, or of those held out [K], a recorder's word taken at its middle.
 
-    problem : over these samples;  returns NaN where they cannot be marched
+    problem : over these samples;  returns NaN where they cannot be marched, and where the heating has an error: values
+              that leave the rest to it are not those of a plain march
 
     They are predicted by the plain march, along the flight with its most probable error.
     """
+    error = problem.record_fits[0].model_error
+    if error is not None and error.sigma > 0.0:
+        return math.nan
     try:
         samples = problem.samples(trial.fit.values)
         # what the fitted samples say of the flight: those held out inform nothing
         u = trial.problem.errors(trial.fit.values)[0]
     except RunError:
-        return float("nan")
+        return math.nan
     residuals = np.concatenate([
         0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) - s.mean_K for s in samples
     ])  # fmt: skip

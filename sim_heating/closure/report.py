@@ -106,6 +106,7 @@ def closure_page(found: Closure) -> Page:
         "Measured against predicted": lambda: _comparison_section(found),
         "Estimated parameters": lambda: _parameters_section(found),
         "Candidates": lambda: _candidates_section(found),
+        "Better, and may not be named": lambda: _barred_section(found),
         "Residual as heating": lambda: _heating_section(found),
         "Evidence": lambda: _evidence_section(found),
         "Residuals that no heating explains": lambda: _sensors_section(found),
@@ -210,11 +211,14 @@ def _adequacy_section(found: Closure) -> list[Section]:
     rows += [[n, v] for n, v in adequacy.by_phase.items()]
     resembled = found.statement.finding == PARTLY
     whose = f"With {found.statement.named}, which is not stated as the cause. " if resembled else ""
+    exact, p = found.statement.model_error is None, _p_value_text(adequacy.p_value)
+    residuals = "Residuals" if exact else "Readings less what those before them say, by the model with its error,"
+    below = "" if adequacy.chi2_fit >= 1.0 else ", and below 1 where the noise is smaller than stated or changes slowly"
+    made = "synthetic records, fitted with their true effect," if exact else "records made with this model"
     text = (
-        f"{whose}Residuals over what noise and rounding give. For the true model the reduced chi-square is 1 in every "
-        f"row. The autocorrelation of neighbouring residuals is {adequacy.lag1:.2f}. The p-value, "
-        f"{_p_value_text(adequacy.p_value)}, is the share of synthetic records, fitted with their true effect, that "
-        "deviate more."
+        f"{whose}{residuals} over what noise and rounding give. For the true model the reduced chi-square is 1 in "
+        f"every row{below}. The autocorrelation of neighbouring residuals is {adequacy.lag1:.2f}. The p-value, {p}, is "
+        f"the share of {made} that deviate more."
     )
     return [
         Section(
@@ -293,22 +297,37 @@ def _candidates_section(found: Closure) -> Section:
     ranked = sorted(found.candidates, key=lambda c: c.delta_bic)
     if not ranked:
         return Section("Candidates", ["No candidate was tried."])
-    rows = [[c.name, c.delta_bic, c.fit_rmse_K, c.holdout_rmse_K, _share_cell(c.posterior)] for c in ranked]
+    marched = any(math.isfinite(c.fit_rmse_K) for c in ranked)
+    rows = [
+        [c.name, c.delta_bic, *((c.fit_rmse_K, c.holdout_rmse_K) if marched else ()), _share_cell(c.posterior)]
+        for c in ranked
+    ]
     chosen = [e.name for e in found.effects]
     marked = [i for i, c in enumerate(ranked) if c.name in chosen]
     caption = (
         "Share: of the likelihood of all that may be named, held-out segments, priors on magnitudes and the number of "
         "forms included. It compares single causes of this list and is no probability: something else may be the cause."
     )
-    columns: list[Column | str] = [
-        "", Column("BIC - BIC of none", "delta_bic", "+.1f"), Column("RMSE fitted, K", "fit_rmse_K", ".2f"),
-        Column("RMSE held out, K", "holdout_rmse_K", ".2f"), Column("share", "posterior", ".2g"),
-    ]  # fmt: skip
+    columns: list[Column | str] = ["", Column("BIC - BIC of none", "delta_bic", "+.1f")]
+    if marched:
+        columns += [Column("RMSE fitted, K", "fit_rmse_K", ".2f"), Column("RMSE held out, K", "holdout_rmse_K", ".2f")]
+    columns.append(Column("share", "posterior", ".2g"))
     table = Table(caption, columns, rows, strong=marked)
     figure = partial(ranking_figure, [c.name for c in ranked], [c.delta_bic for c in ranked], chosen)
     text = [found.false_alarm] if found.false_alarm else []
     picture = Picture(figure, "Blue: added effects. The axis is linear within 10.")
     return Section("Candidates", text, tables=[table], pictures=[picture])
+
+
+def _barred_section(found: Closure) -> list[Section]:
+    """Models that fit better than the one that errors after are of, and why they may not be named."""
+    rows = [[" + ".join(b.names), b.delta_evidence, b.reason] for b in found.statement.barred]
+    columns: list[Column | str] = [
+        "model", Column("log evidence above", format="+.1f"), Column("may not be named", is_text=True),
+    ]  # fmt: skip
+    model = f"that with {found.fitted_with}" if found.fitted_with else "the declared model"
+    text = f"Log evidence, segments held out and priors included, is above {model}."
+    return [Section("Better, and may not be named", tables=[Table(text, columns, rows)])] if rows else []
 
 
 def _share_cell(share: float) -> float | str:

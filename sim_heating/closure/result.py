@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -184,11 +184,10 @@ class Statement:
 
     @property
     def noise_floors(self) -> float:
-        """RMS residual over noise of the segments held out, of the fitted samples where there are none [-]."""
+        """RMS residual over noise, of the fitted samples or of those held out, where it is larger [-]."""
         if self.adequacy is None:
             return math.nan
-        chi2 = self.adequacy.chi2_fit if self.adequacy.chi2_holdout is None else self.adequacy.chi2_holdout
-        return math.sqrt(max(chi2, 0.0))
+        return math.sqrt(max(self.adequacy.chi2_fit, self.adequacy.chi2_holdout or 0.0, 0.0))
 
     @property
     def named(self) -> str:
@@ -233,7 +232,8 @@ class Statement:
     @property
     def _where(self) -> str:
         """The samples that `noise_floors` is of."""
-        held_out = self.adequacy is not None and self.adequacy.chi2_holdout is not None
+        a = self.adequacy
+        held_out = a is not None and a.chi2_holdout is not None and a.chi2_holdout >= a.chi2_fit
         where = "on the segments held out" if held_out else "in the fitted samples"
         return where if self.model_error is None else f"{where} beyond the model's own error"
 
@@ -258,7 +258,7 @@ class Statement:
         if self.model_error is not None:
             lines.append(self.model_error.in_words())
             if self.finding in (FOUND, ONE_OF, NONE):
-                lines.append("No probability is given: findings on models with an own error are not calibrated yet.")
+                lines.append("No probability is given: findings on models with an error are not calibrated yet.")
         return " ".join(lines)
 
     def _adequacy_in_words(self, adequacy: Adequacy) -> str:
@@ -266,7 +266,8 @@ class Statement:
         least = POLICY.min_p_value
         p = f"p = {adequacy.p_value:.2g}" if adequacy.p_value >= least else f"p below {least:g}"
         if adequacy.p_value >= POLICY.adequate_p:
-            return f"explains the record to its noise ({p})"
+            error = "" if self.model_error is None else " and the model's own error"
+            return f"explains the record to its noise{error} ({p})"
         if adequacy.unstructured:
             times = math.sqrt(adequacy.chi2_fit)
             return f"leaves noise alone, {times:.2f} times as large as declared ({p})"
@@ -329,7 +330,8 @@ class CandidateScore:
     """One candidate of the first round.
 
     delta_bic      : its BIC minus that of "none"
-    fit_rmse_K     : RMSE of the plain march over the fit segments [K]
+    fit_rmse_K     : RMSE of the plain march over the fit segments [K]; NaN where the heating has an error, which the
+                     values found leave the rest to
     holdout_rmse_K : over the segments held out [K]; None where there are none
     posterior      : its probability, by its score
     """
@@ -342,7 +344,8 @@ class CandidateScore:
 
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
-        return {n: value for n, value in asdict(self).items() if n != "posterior"}
+        errors = {"fit_rmse_K": finite(self.fit_rmse_K), "holdout_rmse_K": finite(self.holdout_rmse_K)}
+        return {"name": self.name, "delta_bic": self.delta_bic, **errors}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -466,10 +469,8 @@ class JointClosure:
 
     @property
     def named(self) -> str:
-        """What was found in common; "unknown" or "none"."""
-        if self.search.explained:
-            return " + ".join(" or ".join(names) for names in self.statement.alternatives)
-        return self.effects[0].name
+        """What was found in common, or what the records resemble; "unknown" or "none"."""
+        return self.statement.named or self.effects[0].name
 
     @cached_property
     def credibility(self) -> Credibility:

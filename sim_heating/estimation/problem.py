@@ -9,6 +9,7 @@ times are marched side by side, others in threads.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
@@ -24,7 +25,7 @@ from sim_heating.base.parallel.threads import in_threads
 from sim_heating.base.parameters import AT, Parameter
 from sim_heating.estimation.fit_marches import FitMarches
 from sim_heating.estimation.inference.error_likelihood import innovations, scored_readings
-from sim_heating.estimation.inference.model_error import ModelError
+from sim_heating.estimation.inference.model_error import FLIGHT_PREFIX, ModelError
 from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise
 from sim_heating.estimation.record_fit import (
@@ -134,7 +135,7 @@ class FitProblem:
 
         correction_K : (sensor, sample) [K]
         """
-        return self._of([replace(self.record_fits[0], correction_K=correction_K)])
+        return self.with_record_fits([replace(self.record_fits[0], correction_K=correction_K)])
 
     def with_model_error(self, error: ModelError) -> FitProblem:
         """The problem of one record with another error of its model.
@@ -152,7 +153,16 @@ class FitProblem:
 
         Source: docs/theory/model_error.md, equation 1.
         """
-        return self._of([replace(r, model_error=e) for r, e in zip(self.record_fits, errors, strict=True)])
+        return self.with_record_fits([replace(r, model_error=e) for r, e in zip(self.record_fits, errors, strict=True)])
+
+    def with_record_fits(self, record_fits: Sequence[RecordFit]) -> FitProblem:
+        """The problem with other conditions, corrections or errors of its records.
+
+        record_fits : of the same unknowns and samples, corrections and responses in [K]
+
+        Likelihood: docs/theory/estimation_statistics.md, equations 3 to 14.
+        """
+        return self._of(record_fits)
 
     def without_heating_error(self) -> FitProblem:
         """The problem without the smooth errors of the heating; itself where no record has one.
@@ -161,22 +171,33 @@ class FitProblem:
         """
         if all(record_fit.model_error is None for record_fit in self.record_fits):
             return self
-        pairs = [(r, r.model_error) for r in self.record_fits]
-        return self._of([r if e is None else replace(r, model_error=e.of_size(0.0, e.correlation_s)) for r, e in pairs])
+        errors = [part.model_error for part in self.record_fits]
+        return self.with_model_errors([None if e is None else e.of_size(0.0, e.correlation_s) for e in errors])
 
-    def with_flight_unknowns(self) -> FitProblem:
-        """The problem of one record with the errors of its flight as unknowns, which other records of it may share.
+    def with_flight_unknowns(self, limit: float = math.inf) -> FitProblem:
+        """The problem with the errors of its flights as unknowns, which several records of one flight may share.
 
-        The problem as it is where its flight has none. Each is in standard deviations of its prior [-]: f of
+        limit : bound on each of them, those that are unknowns already as well, in standard deviations [-]
+
+        The problem as it is where no flight has any. Each is in standard deviations of its prior [-]: f of
         docs/theory/model_error.md, equation 1.
         """
-        record_fit, first = self.record_fits[0], len(self.unknowns)
-        if record_fit.model_error is None or record_fit.model_error.flight is None or record_fit.flight_names:
+        of_flight = Parameter("", "1", 0.0, 1.0, -limit, limit, text="error of the flight")
+        unknowns = [
+            replace(u, parameter=replace(of_flight, name=u.parameter.name))
+            if u.parameter.name.startswith(FLIGHT_PREFIX) else u
+            for u in self.unknowns
+        ]  # fmt: skip
+        parts = []
+        for i, part in enumerate(self.record_fits):
+            names = () if part.model_error is None or part.flight_names else part.model_error.flight_names
+            own = f"{AT}{part.record.name}" if len(self.record_fits) > 1 else ""
+            index = np.append(part.index, len(unknowns) + np.arange(len(names)))
+            unknowns += [FitParameter(f"{n}{own}", replace(of_flight, name=n), (i,)) for n in names]
+            parts.append(replace(part, flight_names=names, index=index) if names else part)
+        if len(unknowns) == len(self.unknowns) and limit == math.inf:
             return self
-        names = record_fit.model_error.flight_names
-        of_flight = [FitParameter(n, Parameter(n, "1", 0.0, 1.0, text="error of the flight"), (0,)) for n in names]
-        index = np.append(record_fit.index, first + np.arange(len(names)))
-        return self._of([replace(record_fit, flight_names=names, index=index)], [*self.unknowns, *of_flight])
+        return self._of(parts, unknowns)
 
     # Parameters ------------------------------------------------------------------------------------------------------
 

@@ -41,6 +41,7 @@ from sim_heating.base.kernels.lag import lag_columns, lag_per_constant
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, SENSOR, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, middle_K, reading_intervals
 from sim_heating.estimation.inference.model_error import ModelError
+from sim_heating.inputs.points import conditions_of_record, flow_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
 from sim_heating.march.ensemble import condition_history
@@ -235,6 +236,15 @@ class RecordFit:
     def begin_s(self) -> float:
         """Time at which the march begins [s]."""
         return float(self.conditions.time_s[0]) if self.start is None else self.start.time_s
+
+    def along(self, flown: Record) -> RecordFit:
+        """The record's fit along other conditions, with the samples, steps and mesh that it has.
+
+        flown : the record with these conditions, times in [s]
+
+        Source: docs/theory/model_error.md, equation 2.
+        """
+        return replace(self, conditions=conditions_of_record(flown, flow_of_record(flown, self.model.effects)))
 
     def history(self, time_s: FloatArray) -> FloatArray:
         """(1, time, condition) flight conditions at the times of a march [s], as a march takes them."""

@@ -103,7 +103,7 @@ class LaneMemory:
     def scalars(self, row: int) -> FloatArray:
         """(point,) numbers of one row of the block ahead of its nodes, each in the unit of the row ([K], [J/m2] ...).
 
-        row : of base/kernels/block.py
+        row : of base/kernels/block.py; its quantities: docs/theory/equations_thermal_step.md, section 2
         """
         return np.array([self.state[offsets.scalar(row)] for offsets in self.offsets])
 

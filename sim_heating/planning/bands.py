@@ -24,7 +24,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
-from sim_heating.closure.prior.model_error import LONGEST_S, RELATIVE, SHORTEST_S, flight_error, heating_error_prior
+from sim_heating.closure.prior.model_error import MEASURED_FLIGHT, flight_error, heating_error_prior
 from sim_heating.closure.revise.evidence import fitted_use
 from sim_heating.credibility.facts.contributors import SCALE, dispersed_temperatures, varied_models
 from sim_heating.estimation.inference.error_likelihood import STEP, scaled_heating
@@ -45,8 +45,6 @@ KNOTS_A_TIME = 3.0
 """Knots of the model's error in each of its correlation times."""
 MODEL_PREFIXES = ("ratio.", "stack.", "back.", EFFECT_PREFIX)
 """Beginnings of the parameters of an estimate that another flight of its point has; clocks and sensors are of one."""
-UNKNOWN_MODEL = HeatingErrorPrior(RELATIVE, SHORTEST_S, LONGEST_S)
-"""Error of the heating of a flight that states none."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +138,7 @@ def spread(
     model: PointModel,
     flown: Conditions,
     estimate: Estimate | None = None,
-    heating: HeatingErrorPrior | None = UNKNOWN_MODEL,
+    heating: HeatingErrorPrior | None = MEASURED_FLIGHT,
     flights: Sequence[Conditions] = (),
     longest_step_s: float = 1.0,
 ) -> Spread:

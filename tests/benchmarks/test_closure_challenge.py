@@ -96,6 +96,19 @@ def test_verdict(stated_row, expected):
     assert verdict(stated_row) == expected
 
 
+def test_the_pod_counts_where_all_its_causes_are_in_short_lists():
+    truth, lag = [["coating-thickness"], ["impingement-onset"], ["nonisothermal-wall"]], "nonisothermal-wall"
+    whole = [["coating-thickness", "heat-capacity"], ["impingement-onset"], [lag]]
+    rows = [
+        row("paper", truth, "one of", alternatives=whole),
+        row("paper", truth, "found", alternatives=whole[1:]),
+        row("paper", truth, "one of", alternatives=[[*"abc", "coating-thickness"], *whole[1:]]),
+        row("paper", truth, "partly", alternatives=whole),
+    ]
+    shares = {f.what: f.value for f in figures_of(rows) if f.what.startswith("paper's pod")}
+    assert list(shares.values()) == [0.25, 0.25]
+
+
 def test_a_report_without_a_calibration_states_its_posterior():
     effect = {"name": "catalysis", "posterior": 0.9}
     report = {"finding": "found", "alternatives": [["catalysis"]], "effect": effect, "adequacy": {"p_value": 0.3},

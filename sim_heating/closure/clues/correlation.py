@@ -46,6 +46,8 @@ R = TypeVar("R")
 S = TypeVar("S")
 SHAPES = "shapes of the residual"
 WALL, ENTHALPY = "wall_K", "wall_enthalpy_ratio"
+GROUND_TRACK = ("latitude_deg", "longitude_deg", "heading_deg")
+"""Columns of where over the Earth a flight is, which no heating follows."""
 
 
 @dataclass(frozen=True)
@@ -256,7 +258,7 @@ def flight_variables(residual: ResidualHeating) -> dict[str, FloatArray]:
     """
     record, t = residual.record, residual.time_s
     flown = conditions_of_record(record).at(t)
-    known = {*STATE, *HEATING, *DERIVED, "q_add_W_m2"} - {"mach"}
+    known = {*STATE, *HEATING, *DERIVED, *GROUND_TRACK, "q_add_W_m2"} - {"mach"}
     names = [*RATIO_VARIABLES, *(n for n in flown.names if n not in known and n not in RATIO_VARIABLES)]
     wall = np.interp(t, residual.march_s, residual.input.temperature_K[:, 0])
     kind = wall_enthalpy_of(record.declared.heating.wall_enthalpy)

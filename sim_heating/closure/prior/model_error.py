@@ -30,25 +30,24 @@ the flight's error could not say it.
 """
 
 
-def heating_error_prior(
-    record: Record, *, relative: float = 0.05, shortest_s: float = 60.0, longest_s: float = 600.0
-) -> HeatingErrorPrior | None:
-    """The prior of the error of a record's heating, of size 0 where only its flight or a sensor has one; None where its
-    model is exact.
+MEASURED_FLIGHT = HeatingErrorPrior(0.05, 60.0, 600.0)
+"""Error of the heating of a measured flight that states none: scale of its half-normal prior [-], and the limits of the
+log-uniform prior of its correlation time [s]. A choice: 5 % of the heating, over parts of an entry."""
 
-    relative : scale of the half-normal prior of the error of the heating, for a measured flight that states none [-].
-        The flux of a lamp is what its record states
-    shortest_s, longest_s : limits of the log-uniform prior of its correlation time [s]
-    """
+
+def heating_error_prior(record: Record) -> HeatingErrorPrior | None:
+    """The prior of the error of a record's heating, of size 0 where only its flight or a sensor has one; None where its
+    model is exact. The flux of a lamp is what its record states."""
     stated = record.declared.heating.uncertainty
     slow = any(s.noise_sigma_K and s.noise_correlation_s for s in record.used_sensors)
     if stated is None and record.declared.measured and record.has_flow:
-        return HeatingErrorPrior(relative, shortest_s, longest_s)
+        return MEASURED_FLIGHT
     if stated is None or stated.relative == 0.0:
-        other = slow or flight_error(record) is not None
-        return HeatingErrorPrior(0.0, shortest_s, longest_s) if other else None
-    limits = (shortest_s, longest_s) if stated.correlation_s is None else (stated.correlation_s, stated.correlation_s)
-    return HeatingErrorPrior(stated.relative, *limits)
+        is_needed = slow or flight_error(record) is not None
+        return replace(MEASURED_FLIGHT, relative=0.0) if is_needed else None
+    if stated.correlation_s is None:
+        return replace(MEASURED_FLIGHT, relative=stated.relative)
+    return HeatingErrorPrior(stated.relative, stated.correlation_s, stated.correlation_s)
 
 
 def flight_error(record: Record) -> SmoothFlightError | None:

@@ -39,6 +39,11 @@ def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
             changed = {**cause.changed, **first.changed}
             found = {i: values} | dict(first.found)
             causes[key] = replace(first, price=max(first.price, cause.price), found=found, changed=changed)
+    for of_form, cause in causes.items():  # what a record found in another form is nearer than what another one found
+        same = (cause.names, cause.candidate.names)
+        others = [c.found for c in causes.values() if (c.names, c.candidate.names) == same]
+        elsewhere = {i: values for found in reversed(others) for i, values in found.items()}
+        causes[of_form] = replace(cause, found=elsewhere | dict(cause.found))
     forms = {names: [c for c in causes.values() if frozenset(c.names) == names][: EFFORT.starts] for names in known}
     log_n = math.log(sample_count(alone[0].none.last.problem))
 

@@ -22,12 +22,12 @@ from sim_heating.closure.close import (
     effect_parameters,
     error_problem,
     estimates_of,
-    plain_predictions,
     refit_priors,
     rmse_K,
     valued,
     write_closed_loop,
 )
+from sim_heating.closure.plain_marches import plain_marches
 from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.result import (
     NONE,
@@ -138,7 +138,7 @@ def join(loops: Sequence[ClosedLoop], *, progress: Progress = no_progress) -> Jo
     if search.compared.model is None:
         return JointClosedLoop(tuple(loops), search, None, _report(loops, search, None, []))
     fitted = _refit(search)
-    return JointClosedLoop(tuple(loops), search, fitted, _report(loops, search, fitted, plain_predictions(fitted)))
+    return JointClosedLoop(tuple(loops), search, fitted, _report(loops, search, fitted, plain_marches(fitted)))
 
 
 def write_joint_loop(closed: JointClosedLoop, out: str | os.PathLike[str]) -> list[str]:

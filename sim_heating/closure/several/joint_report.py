@@ -181,11 +181,17 @@ def _residuals_section(found: JointClosure) -> Section:
     charts: list[Chart] = []
     picture = Picture(partial(residuals_figure, found), "Measured minus predicted, by record; held-out spans shaded.")
     for closure, after in zip(found.closures, found.after, strict=True):
-        curves = [(closure.before, BEFORE, "declared model fitted")]
-        curves += [(after, AFTER, f"with {found.named}")] if after is not closure.before else []
+        curves = _curves(found, closure, after)
         chart = fit_chart(closure.record, curves, picture, temperatures=False)
         charts.append(replace(chart, pictured=not charts))  # one picture shows them all
     return Section("Residuals side by side", charts=charts)
+
+
+def _curves(found: JointClosure, closure: Closure, after: Prediction) -> list[tuple[Prediction, str, str]]:
+    """What a record is compared with: prediction, colour and words of each."""
+    curves = [(closure.before, BEFORE, "declared model fitted")]
+    cause = " + ".join(found.search.compared.names)
+    return curves if after is closure.before else [*curves, (after, AFTER, f"with {cause}")]
 
 
 def residuals_figure(found: JointClosure) -> Figure:
@@ -195,8 +201,7 @@ def residuals_figure(found: JointClosure) -> Figure:
     for a, closure, after in zip(axes, found.closures, found.after, strict=True):
         record = closure.record
         judged = record.fit_mask() | record.holdout_mask()
-        curves = [(closure.before, BEFORE, "declared model fitted")]
-        curves += [(after, AFTER, f"with {found.named}")] if after is not closure.before else []
+        curves = _curves(found, closure, after)
         for prediction, color, label in curves:
             for k, i in enumerate(i for i, s in enumerate(record.sensors) if s.used):
                 own = label if k == 0 else None
@@ -258,9 +263,11 @@ def _values_section(found: JointClosure) -> Section:
             "; ".join(_bound(p.value, p.sigma) for p in together) or "-",
             *("-" if o is None else _bound(*o) for o in own),
         ])  # fmt: skip
+    exact = all(c.statement.model_error is None for c in found.closures)
+    bounds = "corrected for coloured residuals" if exact else "with the error of the models"
     text = (
-        "Values with one standard deviation; those together are corrected for coloured residuals. Magnitude and "
-        "derivatives of the heating ratio are each record's own."
+        f"Values with one standard deviation; those together are {bounds}. Magnitude and derivatives of the heating "
+        "ratio are each record's own."
     )
     return Section("Parameters", [text], tables=[Table("", columns, rows)])
 

@@ -124,13 +124,15 @@ def _fitted(causes: Sequence[Cause], bases: Sequence[TrialFit]) -> list[tuple[Jo
         members = [i for i, base in enumerate(bases) if applies(cause, base)]
         if len(members) < 2:
             continue
-        for i in [i for i in members if i in cause.found][: EFFORT.rivals]:
+        finders = [i for i in members if i in cause.found]
+        common = {i: {n: v for n, v in cause.found[i].items() if n in cause.candidate.names} for i in finders}
+        values = [{j: cause.found[i] if j == i else common[i] for j in members} for i in finders[: EFFORT.rivals]]
+        if len(finders) > 1:  # what is a point's own, as an onset, is nowhere near that of another point
+            values.append({j: cause.found.get(j, common[finders[0]]) for j in members})
+        for start in values:
             # another problem each time: side by side, none may occur twice
-            model = joint_model(cause, bases, members, cause.widest)
-            common = {n: v for n, v in cause.found[i].items() if n in cause.candidate.names}
-            own = {j: common if j != i else {} for j in members}
-            models.append(model)
-            starts.append(model.start({**own, i: cause.found[i]}))
+            models.append(joint_model(cause, bases, members, cause.widest))
+            starts.append(models[-1].start(start))
     best: dict[int, tuple[JointModel, Fit]] = {}
     for model, fit in zip(models, fit_models(models, starts), strict=True):
         key = id(model.cause)

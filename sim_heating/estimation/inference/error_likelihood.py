@@ -66,16 +66,12 @@ def model_error(
     first, last = record_fit.begin_s, float(record_fit.sample_s[-1])
     count = min(max(math.ceil((last - first) / SPACING_S) + 1, 2), MOST_KNOTS)
     knots = np.linspace(first, last, count)
-    others = [] if flight is None else [flight.record(f) for f in np.eye(len(flight.directions))]
-    histories = [
-        flown,
-        *scaled_heating(flown, knots),
-        *(conditions_of_record(other).at(time_s) for other in others),
-    ]
+    histories = [flown, *scaled_heating(flown, knots)]
     T = _marched_K(record_fit, values, [condition_history(h) for h in histories])
-    moved = np.moveaxis(T[1:] - T[0], 0, -1)
+    moved = np.moveaxis(T[1:] - T[0], 0, -1) / STEP
+    of_flight = flight_response(record_fit, values, flight)
     return ModelError(
-        knots, record_fit.sample_s, moved[..., :count] / STEP, moved[..., count:], flight, sigma, correlation_s,
+        knots, record_fit.sample_s, moved, of_flight, flight, sigma, correlation_s,
         _correlated_noise(record_fit), noise, None if noise is None else _white_K(record_fit, values, noise),
     )  # fmt: skip
 
@@ -88,6 +84,24 @@ def scaled_heating(flown: Conditions, knots_s: FloatArray) -> list[Conditions]:
     heating = {n: flown[n] for n in ("h_ref_kg_m2_s", "q_add_W_m2") if n in flown}
     scales = (1.0 + STEP * np.interp(flown.time_s, knots_s, hat) for hat in np.eye(len(knots_s)))
     return [flown.with_columns(**{n: scale * q for n, q in heating.items()}) for scale in scales]
+
+
+def flight_response(
+    record_fit: RecordFit, values: FloatArray, flight: FlightError | None, about: FloatArray | float = 0.0
+) -> FloatArray:
+    """(sensor, sample, direction) change of readings for one standard deviation along each direction of a flight [K].
+
+    record_fit : a record of a fit, with the conditions of the flight that the response is about
+    values     : (parameter,) of the model
+    about      : (direction,) of that flight, in standard deviations [-]
+    raises     : RunError where the model cannot be marched
+
+    Source: docs/theory/model_error.md, equation 2.
+    """
+    others = [] if flight is None else [flight.record(about + f) for f in np.eye(len(flight.directions))]
+    flown = [record_fit.conditions, *map(conditions_of_record, others)]
+    T = _marched_K(record_fit, values, [condition_history(c.at(record_fit.time_s)) for c in flown])
+    return np.asarray(np.moveaxis(T[1:] - T[0], 0, -1))
 
 
 def noise_error(record_fit: RecordFit, values: FloatArray, noise: HeatingNoise) -> ModelError:

@@ -16,6 +16,11 @@ from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.model_error import ModelError
 
 TIME_SHIFT = "time_shift_s"
+IN_WORDS = {
+    TIME_SHIFT: (1.0, "s later"), "time_stretch": (100.0, "% longer"), "velocity_relative": (100.0, "% faster"),
+    "alpha_bias_deg": (1.0, "deg higher in angle of attack"), "density_relative": (100.0, "% off in density"),
+}  # fmt: skip
+"""By error of a flight, the factor to the unit that it is told in, and what a value above 0 means."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +56,12 @@ class ToldError:
         """The size of the error, and what is known of the flight's, in a sentence or two."""
         mean, limit = (f"{100.0 * x:.2g} %" for x in (self.relative, self.limit_95))
         words = (
-            f"The model's own error is {mean} of the heating (below {limit} with a probability of 95 %), over some "
-            f"{self.correlation_s:.0f} s: {self.rms_K:.1f} K, most from {self.largest_phase}."
+            f"The model's own error is {mean} of the heating (below {limit} with a probability of 95 %) and changes "
+            f"within some {self.correlation_s:.0f} s: {self.rms_K:.1f} K of the readings, most from "
+            f"{self.largest_phase}."
         )
         known = flight_in_words(self.flight)
-        return f"{words} Of the flight: {known}." if known else words
+        return f"{words} Against its conditions the flight was: {known}." if known else words
 
 
 def flight_as_json(flight: Mapping[str, tuple[float, float] | None]) -> dict[str, Any]:
@@ -65,7 +71,9 @@ def flight_as_json(flight: Mapping[str, tuple[float, float] | None]) -> dict[str
 
 def flight_in_words(flight: Mapping[str, tuple[float, float] | None]) -> str:
     """Those errors of a flight that the readings tell apart; empty where there are none."""
-    return ", ".join(f"{n} {p[0]:.2g} +- {p[1]:.1g}" for n, p in flight.items() if p is not None)
+    told = {n: p for n, p in flight.items() if p is not None}
+    scaled = [(IN_WORDS[n][0] * value, IN_WORDS[n][0] * sigma, IN_WORDS[n][1]) for n, (value, sigma) in told.items()]
+    return ", ".join(f"{value:+.2g} +- {sigma:.1g} {meaning}" for value, sigma, meaning in scaled)
 
 
 def told_error(trial: TrialFit, *, phase_count: int = 8) -> ToldError | None:
