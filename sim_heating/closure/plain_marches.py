@@ -8,6 +8,7 @@ Gauss and Newton's iteration over flight and parameters. Source: docs/theory/mod
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,35 +22,42 @@ from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.simulation.predict import Prediction
 
-LIMIT = 3.0
-"""Standard deviations by which each error of a flight may be off [-]."""
-ROUNDS, STEPS, SETTLED = 8, (1.0, 0.5, 0.25, 0.1, 0.03), 0.5
-"""Responses that are taken at most, parts of a step that are tried, and the gain in log posterior [-] that ends it."""
 
-
-def plain_marches(fitted: FitResult) -> list[Prediction]:
+def plain_marches(
+    fitted: FitResult,
+    *,
+    limit: float = 3.0,
+    rounds: int = 8,
+    steps: Sequence[float] = (1.0, 0.5, 0.25, 0.1, 0.03),
+    settled: float = 0.5,
+) -> list[Prediction]:
     """The plain march of each record of a fit, whose parameters and flights are fitted once more without an error of
-    the heating; as they are where the model has none."""
+    the heating; as they are where the model has none.
+
+    limit  : standard deviations by which each error of a flight may be off [-]
+    rounds : responses that are taken at most;  steps : parts of a step that are tried, the largest first
+    settled: gain in log posterior [-] that ends it
+    """
     exact = fitted.problem.without_heating_error()
     if exact is fitted.problem:
         return list(fitted.after)
     integrated = fitted.problem.errors(fitted.fit.values)
     parts = zip(exact.record_fits, integrated, strict=True)
     flights = [p.model_error.along_flight(u) for p, u in parts if p.model_error is not None and not p.flight_names]
-    exact = exact.with_flight_unknowns(LIMIT)
+    exact = exact.with_flight_unknowns(limit)
     limits = np.array([(u.parameter.lower, u.parameter.upper) for u in exact.unknowns]).T
     values = np.clip(np.concatenate([fitted.fit.values, *flights]), *limits)
     reached, problem = _log_posterior(exact, values), exact
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         fit = maximise_together([problem], [values], CONVERGE)[0]
         if not np.isfinite(fit.log_likelihood):
             break
-        tried = [values + step * (fit.values - values) for step in STEPS]
+        tried = [values + step * (fit.values - values) for step in steps]
         better = next(((v, p) for v in tried if (p := _log_posterior(exact, v)) > reached), None)
         if better is None:
             break
         gained, (values, reached) = better[1] - reached, better
-        if gained < SETTLED:
+        if gained < settled:
             break
         problem = _about(exact, values)
     return [predict_fit(part, values) for part in exact.record_fits]

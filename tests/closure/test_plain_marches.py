@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_heating.closure.plain_marches import LIMIT, plain_marches
+from sim_heating.closure.plain_marches import plain_marches
 from sim_heating.closure.prior.model_error import flight_error
 from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.estimation.fit import fit_problem, predict_fit
@@ -49,8 +49,8 @@ def test_the_flight_is_found_by_marches_where_its_linear_response_ends():
 
 
 def test_a_flight_is_no_further_off_than_its_limit():
-    problem = fitted(stated(6.0)).problem.without_heating_error().with_flight_unknowns(LIMIT)
+    problem = fitted(stated(6.0)).problem.without_heating_error().with_flight_unknowns(3.0)
     fit = maximise_together([problem], [np.zeros(len(problem.unknowns))], CONVERGE)[0]
     of_flight = np.array([n.startswith("flight.") for n in fit.names])
-    assert np.max(np.abs(fit.values[of_flight])) == LIMIT
+    assert np.max(np.abs(fit.values[of_flight])) == 3.0
     assert not fit.on_bound[~of_flight].any()
