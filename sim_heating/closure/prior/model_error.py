@@ -30,9 +30,8 @@ the flight's error could not say it.
 """
 
 
-MEASURED_FLIGHT = HeatingErrorPrior(0.05, 60.0, 600.0)
-"""Error of the heating of a measured flight that states none: scale of its half-normal prior [-], and the limits of the
-log-uniform prior of its correlation time [s]. A choice: 5 % of the heating, over parts of an entry."""
+MEASURED_FLIGHT = HeatingErrorPrior()
+"""Error of the heating of a measured flight that states none."""
 
 
 def heating_error_prior(record: Record) -> HeatingErrorPrior | None:

@@ -52,11 +52,13 @@ class HeatingErrorPrior:
 
     relative : scale of the half-normal prior of its standard deviation [-]
     shortest_s, longest_s : limits of the log-uniform prior of its correlation time [s]; equal where it is stated
+
+    The defaults are those of a measured flight that states none: 5 % of the heating, over parts of an entry, a choice.
     """
 
-    relative: float
-    shortest_s: float
-    longest_s: float
+    relative: float = 0.05
+    shortest_s: float = 60.0
+    longest_s: float = 600.0
 
     @property
     def middle_s(self) -> float:
