@@ -94,7 +94,7 @@ async def run_link(
     outputs: Sequence[Output] = (),
     *,
     on_state: Callable[[State], None] | None = None,
-    stop: Stop | None = None,
+    stop: asyncio.Event | None = None,
     resume: bool = False,
     open_sources: Sources = open_source,
     waiting: Waiting | None = None,
@@ -103,13 +103,14 @@ async def run_link(
 
     outputs  : that states are published to; started and stopped here
     on_state : called with each state
-    stop     : ends the link when it is set
+    stop     : ends the link when it is set; a `Stop` may also end it at once
     resume   : whether the engine's journal was cut off, and its messages are taken again first
     waiting  : progress of the wait for the candidates of an alarm, which `stop` ends, too; None for no such wait
     returns  : the last state
     raises   : InputError where a source or an output cannot be opened
     """
     link, stop = engine.link, stop or Stop()
+    request = stop if isinstance(stop, Stop) else Stop()
     faults = _Faults(engine.remarks.add)
     loop, queue = asyncio.get_running_loop(), asyncio.Queue[_Item](WAITING)
     worker = ThreadPoolExecutor(1, thread_name_prefix="estimate")
@@ -120,7 +121,7 @@ async def run_link(
     loop.set_exception_handler(faults.of_loop)
     try:
         await loop.run_in_executor(worker, engine.prepare)
-        stop.has_begun = True
+        request.has_begun = True
         for output in outputs:
             await output.start()
             started.append(output)
@@ -155,7 +156,7 @@ async def run_link(
         for output in started:
             with faults.caught("ending a page or display"):
                 await output.stop()
-        worker.shutdown(wait=not stop.at_once, cancel_futures=stop.at_once)
+        worker.shutdown(wait=not request.at_once, cancel_futures=request.at_once)
         engine.stop()
         loop.set_exception_handler(handled)
 
