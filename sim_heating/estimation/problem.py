@@ -120,10 +120,17 @@ class FitProblem:
             FitParameter(f"{name}{AT}{owner}" if owner else name, parameter, tuple(numbers))
             for (name, owner), (parameter, numbers) in shared.items()
         ]
-        return parts[0]._of(record_fits, unknowns)
+        return parts[0].with_record_fits(record_fits, unknowns)
 
-    def _of(self, record_fits: Sequence[RecordFit], unknowns: Sequence[FitParameter] | None = None) -> FitProblem:
-        """The problem with other records, and with other unknowns where some are given."""
+    def with_record_fits(
+        self, record_fits: Sequence[RecordFit], unknowns: Sequence[FitParameter] | None = None
+    ) -> FitProblem:
+        """The problem with other conditions, corrections, errors or unknowns of its records.
+
+        record_fits : of the same samples, corrections and responses in [K];  unknowns : as before where None
+
+        Likelihood: docs/theory/estimation_statistics.md, equations 3 to 14.
+        """
         other = copy(self)
         other.record_fits = list(record_fits)
         other.unknowns = self.unknowns if unknowns is None else list(unknowns)
@@ -154,15 +161,6 @@ class FitProblem:
         Source: docs/theory/model_error.md, equation 1.
         """
         return self.with_record_fits([replace(r, model_error=e) for r, e in zip(self.record_fits, errors, strict=True)])
-
-    def with_record_fits(self, record_fits: Sequence[RecordFit]) -> FitProblem:
-        """The problem with other conditions, corrections or errors of its records.
-
-        record_fits : of the same unknowns and samples, corrections and responses in [K]
-
-        Likelihood: docs/theory/estimation_statistics.md, equations 3 to 14.
-        """
-        return self._of(record_fits)
 
     def without_heating_error(self) -> FitProblem:
         """The problem without the smooth errors of the heating; itself where no record has one.
@@ -197,7 +195,7 @@ class FitProblem:
             parts.append(replace(part, flight_names=names, index=index) if names else part)
         if len(unknowns) == len(self.unknowns) and limit == math.inf:
             return self
-        return self._of(parts, unknowns)
+        return self.with_record_fits(parts, unknowns)
 
     # Parameters ------------------------------------------------------------------------------------------------------
 
