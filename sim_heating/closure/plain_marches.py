@@ -18,6 +18,7 @@ from sim_heating.base.errors import RunError
 from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.estimation.fit import FitResult, predict_fit
 from sim_heating.estimation.inference.error_likelihood import flight_response
+from sim_heating.estimation.inference.newton import Priors
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.simulation.predict import Prediction
@@ -88,5 +89,4 @@ def _log_posterior(exact: FitProblem, values: FloatArray) -> float:
         found = _about(exact, values, alone=True).evaluate(values).log_likelihood
     except RunError:
         return -np.inf
-    off = [(v - u.parameter.value) / u.parameter.sigma for u, v in zip(exact.unknowns, values, strict=True)]
-    return found - 0.5 * float(np.sum(np.square(off))) if np.isfinite(found) else -np.inf
+    return found + float(Priors.of(exact.parameters).log_prior(values)) if np.isfinite(found) else -np.inf

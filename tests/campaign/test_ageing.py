@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -59,8 +61,6 @@ def test_the_next_flight_has_the_last_value_and_one_more_step():
 
 
 def test_what_is_known_of_the_next_flight_is_a_file_of_settings(tmp_path):
-    import tomllib
-
     walks = walks_of_fits([row("STS-2", 1.01, 0.02)], {EMITTANCE: 0.03}, ["STS-2"])
     settings = FitSettings(**tomllib.loads(next_flight_settings(walks)))
     assert settings.priors == {f"{EMITTANCE}@V09T9527": pytest.approx((1.01, np.hypot(0.02, 0.03)))}

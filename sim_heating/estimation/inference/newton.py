@@ -224,8 +224,13 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Posterior:
-    """Priors and bounds as arrays, and what they add to a likelihood."""
+class Priors:
+    """Normal priors and bounds of parameters as arrays, each in its unit, and what they add to a likelihood.
+
+    mean, information : (parameter,) of each prior, information 1 / sigma^2; lower, upper : (parameter,) bounds
+
+    Source: docs/theory/estimation_statistics.md, equations 13 and 14.
+    """
 
     mean: FloatArray
     information: FloatArray
@@ -233,7 +238,13 @@ class _Posterior:
     upper: FloatArray
 
     @classmethod
-    def of(cls, parameters: Sequence[Parameter]) -> _Posterior:
+    def of(cls, parameters: Sequence[Parameter]) -> Priors:
+        """The priors and bounds of parameters ([-], [K] ...).
+
+        raises : InputError for an invalid prior or bounds
+
+        Source: docs/theory/estimation_statistics.md, equation 13.
+        """
         check_parameters(parameters)
         sigma = np.array([p.sigma for p in parameters], dtype=float)
         return cls(
@@ -244,11 +255,17 @@ class _Posterior:
         )
 
     def log_prior(self, values: FloatArray) -> FloatArray:
-        """Log prior density [-] of (..., parameter) values, without its constant."""
+        """Log prior density [-] of (..., parameter) values, without its constant.
+
+        Source: docs/theory/estimation_statistics.md, equation 13.
+        """
         return np.asarray(-0.5 * np.sum(self.information * (values - self.mean) ** 2, axis=-1))
 
     def evaluation(self, vector: FloatArray, likelihood: Evaluation) -> Evaluation:
-        """Log posterior, gradient and information at a point, from those of the likelihood there."""
+        """Log posterior [-], gradient and information at a (parameter,) point, from those of the likelihood there.
+
+        Source: docs/theory/estimation_statistics.md, equations 13 and 14.
+        """
         return Evaluation(
             likelihood.log_likelihood + float(self.log_prior(vector)),
             likelihood.gradient + self.information * (self.mean - vector),
@@ -329,7 +346,7 @@ def iteration(
 
     Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
-    posterior = _Posterior.of(parameters)
+    posterior = Priors.of(parameters)
     settings = settings or NewtonSettings()
     first = [settings.first_values.get(p.name, p.value) for p in parameters] if start is None else start
     vector = np.clip(np.asarray(first, dtype=float), posterior.lower, posterior.upper)
@@ -361,7 +378,7 @@ class _NewtonSearch:
 
     def __init__(
         self,
-        posterior: _Posterior,
+        posterior: Priors,
         settings: NewtonSettings,
         vector: FloatArray,
         limited: BoolArray,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.estimation.inference.newton import Priors
 from sim_heating.estimation.problem import FitProblem
 
 
@@ -47,17 +49,20 @@ class Posterior:
 
         Source: docs/theory/estimation_statistics.md, equation 13.
         """
-        return np.array([(u.parameter.lower, u.parameter.upper) for u in self.problem.unknowns])
+        return np.stack([self._priors.lower, self._priors.upper], axis=1)
+
+    @cached_property
+    def _priors(self) -> Priors:
+        return Priors.of(self.problem.parameters)
 
     def log_prior(self, values: FloatArray) -> FloatArray:
         """(...,) log density [-] of (..., parameter) values without its constant; -inf beyond a bound.
 
         Source: docs/theory/estimation_statistics.md, equation 13.
         """
-        mean, sigma = np.array(list(self.priors.values())).T
-        low, high = self.bounds.T
-        inside = np.all((values >= low) & (values <= high), axis=-1)
-        return np.where(inside, -0.5 * np.sum(((values - mean) / sigma) ** 2, axis=-1), -np.inf)
+        priors = self._priors
+        inside = np.all((values >= priors.lower) & (values <= priors.upper), axis=-1)
+        return np.where(inside, priors.log_prior(values), -np.inf)
 
     def log_likelihood(self, values: FloatArray) -> FloatArray:
         """(...,) log likelihood [-] of (..., parameter) values, marched side by side; -inf where a march fails.
@@ -85,5 +90,5 @@ class Posterior:
 
         Source: docs/theory/estimation_statistics.md, equation 14.
         """
-        mean, sigma = np.array(list(self.priors.values())).T
-        return self.problem.evaluate(np.asarray(values, dtype=float)).gradient - (values - mean) / sigma**2
+        values = np.asarray(values, dtype=float)
+        return self._priors.evaluation(values, self.problem.evaluate(values)).gradient
