@@ -213,7 +213,11 @@ def _adequacy_section(found: Closure) -> list[Section]:
     whose = f"With {found.statement.named}, which is not stated as the cause. " if resembled else ""
     exact, p = found.statement.model_error is None, _p_value_text(adequacy.p_value)
     residuals = "Residuals" if exact else "Readings less what those before them say, by the model with its error,"
-    below = "" if adequacy.chi2_fit >= 1.0 else ", and below 1 where the noise is smaller than stated or changes slowly"
+    below = (
+        ""
+        if exact or adequacy.chi2_fit >= 1.0
+        else ", and below 1 where the noise is smaller than stated or changes slowly"
+    )
     made = "synthetic records, fitted with their true effect," if exact else "records made with this model"
     text = (
         f"{whose}{residuals} over what noise and rounding give. For the true model the reduced chi-square is 1 in "
