@@ -11,15 +11,15 @@ from benchmarks.measure import Figure, table
 
 NAMES = (
     "verification", "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "envelope",
-    "covariance", "end_to_end", "ground_step", "skew", "segments", "design",
+    "end_to_end", "ground_step", "skew", "segments", "design",
     "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
     "tile_left_out",
     "kaowool", "paper_figures", "dispersion", "dispersed_entry", "demo", "practice", "findings",
     "closure", "closure_challenge", "campaign",
     "live", "journals", "mutants", "kills", "study_kills", "concurrency", "reliability",
-    "pages", "credibility", "live_page",
+    "pages", "live_page",
     "live_hour",
-    "live_picture", "waiting", "scaling", "layouts",
+    "waiting", "scaling", "layouts",
 )  # fmt: skip
 
 

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from benchmarks.c_peer.build import FAST, STRICT, Peer, compile_peer, compiler
 from benchmarks.measure import Figure, Times, in_turn, one_thread, save
-from benchmarks.problems import NOTHING, ensemble_of, entry, points
 from sim_heating.base.kernels.block import ADDED, FILM, LANES, N_NODES, PCOL, PFRAC, RECOVERY, STEPPING
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.kernels.operations import pointer
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import BLOCK_END, BLOCK_START, INTS_END, INTS_START
 from sim_heating.thermal.step import close_step, step
+from tests.support.problems import NOTHING, ensemble_of, entry, points
 
 FloatArray = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import click
 
-from benchmarks.kills import POINT, fit, inputs, snapshot
 from benchmarks.measure import Figure, save
 from sim_heating.base.files import MARKER, results_digest
+from tests.support.kills import POINT, fit, inputs, snapshot
 
 REPETITIONS = 4
 DELAY_S = 0.4

@@ -14,10 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.estimator_cases import CASES, record_of, start_at
 from benchmarks.estimator_peers import ExtendedKalmanFilter, Plain, by_filterpy, by_scipy, by_side_by_side, plain
 from benchmarks.measure import Figure, Task, Times, in_turn, save
-from benchmarks.problems import RECORD, mesh_of
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parallel.threads import march_threads
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
@@ -31,6 +29,8 @@ from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import LinearMarch, Track
+from tests.support.estimator_cases import CASES, record_of, start_at
+from tests.support.problems import RECORD, mesh_of
 
 FloatArray = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.estimator_cases import CASES, Repeatable, repeatable
 from benchmarks.measure import Figure, save
 from sim_heating.estimation.fit import fit_bounds
 from sim_heating.estimation.inference.newton import maximise
 from sim_heating.estimation.inference.residual_tests import sensor_residuals
+from tests.support.estimator_cases import CASES, Repeatable, repeatable
 
 FloatArray = NDArray[np.float64]
 

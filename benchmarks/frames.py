@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 
 from benchmarks.measure import Figure, in_turn, one_thread, resident_kB, save
-from benchmarks.problems import NOTHING, ensemble_of, entry, points
+from tests.support.problems import NOTHING, ensemble_of, entry, points
 
 RATE_HZ = 60.0
 START_S, FRAMES, REPEATS = 800.0, 300, 40

@@ -15,9 +15,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from benchmarks.deposited_heat import Deposit, Slab, deposited_heat
 from benchmarks.measure import Figure, save
-from benchmarks.quick_fit import Model, quick_fit
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.files.toml import read_toml_dict
@@ -26,6 +24,8 @@ from sim_heating.heating.effects import use
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.simulation.predict import predict
+from tests.support.deposited_heat import Deposit, Slab, deposited_heat
+from tests.support.quick_fit import Model, quick_fit
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

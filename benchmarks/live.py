@@ -20,8 +20,8 @@ from benchmarks.live_alarms import alarms
 from benchmarks.live_bad import bad_links
 from benchmarks.live_exact import exactness
 from benchmarks.live_speed import speed
-from benchmarks.live_streams import Progress
 from benchmarks.measure import RESULTS, Figure, save, table
+from tests.support.live_streams import Progress
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from scipy.stats import poisson
 
 from benchmarks.generator.record import make_and_write
 from benchmarks.live_exact import NULL
-from benchmarks.live_streams import PRACTICE, SIX, Progress, practice, samples_of_record
 from benchmarks.measure import Figure
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.record import Record, load_record
@@ -23,6 +22,8 @@ from sim_heating.live.filtering.points import RecordPoints
 from sim_heating.live.types import Frame
 from sim_heating.live.watch.checks import SensorChecks
 from sim_heating.live.watch.sequential import Alarm, SequentialTest, score_of_word
+from tests.support.live_streams import SIX, Progress, practice, samples_of_record
+from tests.support.paths import PRACTICE
 
 RATE, SEED, HOUR_S = 0.01, 26, 3600.0
 

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom
 
-from benchmarks.live_streams import PRIORS, SIX, BadLink, Flight, Progress, cut, known_flight, practice
 from benchmarks.measure import Figure
 from sim_heating.base.arrays import FloatArray
 from sim_heating.inputs.record import write_record
@@ -33,6 +32,7 @@ from sim_heating.live.sources.replay import lines
 from sim_heating.live.spec import make_link
 from sim_heating.live.state import plain
 from sim_heating.live.types import Frame
+from tests.support.live_streams import PRIORS, SIX, BadLink, Flight, Progress, cut, known_flight, practice
 
 TOGETHER = 16
 """Replays of one link, each a control point with a truth and a noise of its own."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.live_streams import SIX, BadLink, Flight, cut, known_flight, practice, samples_of_record
 from benchmarks.measure import Figure
 from sim_heating.base.arrays import FloatArray
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
@@ -22,6 +21,7 @@ from sim_heating.live.filtering.parameters import default_prior
 from sim_heating.live.filtering.points import RecordPoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
+from tests.support.live_streams import SIX, BadLink, Flight, cut, known_flight, practice, samples_of_record
 
 NULL = ("p06", "p07")
 """Practice records without an effect."""

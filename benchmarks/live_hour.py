@@ -30,11 +30,11 @@ import click
 import numpy as np
 
 import sim_heating as sh
-from benchmarks.browser import Browser, OpenPage
-from benchmarks.live_streams import frames_of, practice, word_K
 from benchmarks.measure import Figure, resident_kB, save, table
 from sim_heating.base.conditions import FRAME
 from sim_heating.live.types import Frame
+from tests.support.chromium import Browser, OpenPage
+from tests.support.live_streams import frames_of, practice, word_K
 
 POINTS = ("V09T9527", "LOWER_MID")
 RATE_HZ, SAMPLED_S, SEED = 10.0, 60.0, 5

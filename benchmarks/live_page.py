@@ -15,11 +15,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.browser import Browser, OpenPage
-from benchmarks.live_states import Flown
 from benchmarks.measure import Figure, resident_kB, save
-from benchmarks.served import Served, served
 from sim_heating.live.state import PointState, State
+from tests.support.chromium import Browser, OpenPage
+from tests.support.live_states import Flown
+from tests.support.served import Served, served
 
 HOUR, BETWEEN, RATE_HZ = 36_000, 3_600, 400.0
 AFTER = 300

@@ -11,7 +11,6 @@ from unittest.mock import patch
 import numpy as np
 
 import sim_heating as sh
-from benchmarks.live_streams import EIGHT, SIX, flown_frames, orbiter_of, practice, samples_of_record, word_K
 from benchmarks.measure import Figure
 from sim_heating.base.arrays import FloatArray
 from sim_heating.estimation.filter import online
@@ -22,6 +21,7 @@ from sim_heating.live.filtering.estimator import LiveEstimator
 from sim_heating.live.filtering.points import RecordPoints, VehiclePoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.trajectory.flight import Window
+from tests.support.live_streams import EIGHT, SIX, flown_frames, orbiter_of, practice, samples_of_record, word_K
 
 POINTS, FRAMES_HZ, READINGS_HZ, BEGIN_S, SEED = 16, 60, 10, 800.0, 3
 NOT_COUNTED_S = 5.0

@@ -11,7 +11,6 @@ from pathlib import Path
 import click
 import numpy as np
 
-from benchmarks.betts import MESH_TOLERANCE, PUBLISHED, solve_betts
 from benchmarks.measure import Figure, save
 from sim_heating.base.arrays import FloatArray
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
@@ -24,6 +23,7 @@ from sim_heating.planning.optimal.spec import OptimalStudy, load_optimal_study, 
 from sim_heating.planning.soak import with_soak
 from sim_heating.planning.study import load_study
 from sim_heating.templates.starters import write_new_study
+from tests.support.betts import MESH_TOLERANCE, PUBLISHED, solve_betts
 
 ROOT = Path(__file__).parent.parent
 STUDIES = ROOT / "scenarios" / "studies"

@@ -14,8 +14,8 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.browser import Browser, OpenPage
 from benchmarks.measure import Figure, save
+from tests.support.chromium import Browser, OpenPage
 
 ROOT = Path(__file__).resolve().parents[1]
 PRACTICE = "scenarios/records/practice"

@@ -20,9 +20,7 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.estimator_cases import CASES, Repeatable, repeatable
 from benchmarks.measure import Figure, save
-from benchmarks.problems import NOTHING
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import CORRELATION, NODE, RATIO, ProcessNoise
 from sim_heating.estimation.fit import fit_bounds
@@ -33,6 +31,8 @@ from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import declared_profile
 from sim_heating.inputs.sensor_model import measure
 from sim_heating.march.ensemble import Ensemble, condition_history
+from tests.support.estimator_cases import CASES, Repeatable, repeatable
+from tests.support.problems import NOTHING
 
 FloatArray = NDArray[np.float64]
 

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.measure import Figure, in_turn, save
-from benchmarks.problems import RECORD
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.estimation.filter.heating_input import unknown_input
 from sim_heating.estimation.filter.march import Disturbance, FilterMarch, FilterTrack, samples_on_grid
@@ -28,6 +27,7 @@ from sim_heating.march.ensemble import condition_history
 from sim_heating.march.history import march_points, values_at
 from sim_heating.march.mesh_choice import pack
 from sim_heating.thermal.stack import Sensor
+from tests.support.problems import RECORD
 
 ROUNDS, SEED = 7, 1
 BEGIN_S, END_S, RISE = 500.0, 580.0, 0.1

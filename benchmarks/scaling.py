@@ -27,7 +27,6 @@ import numpy as np
 
 from benchmarks.dispersion import STUDY
 from benchmarks.measure import Figure, save, span
-from benchmarks.problems import NOTHING, ensemble_of, entry, points
 from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.parallel.threads import march_threads, one_thread
 from sim_heating.closure.several.batch import close_all, record_job
@@ -35,6 +34,7 @@ from sim_heating.estimation.problem import FitOptions, FitProblem, joint_referen
 from sim_heating.inputs.record import load_record
 from sim_heating.planning.dispersion.entry import SOBOL, Batch, DispersedEntry
 from sim_heating.planning.study import load_study
+from tests.support.problems import NOTHING, ensemble_of, entry, points
 
 PRACTICE = Path(__file__).parents[1] / "scenarios" / "records" / "practice"
 CLOSED = ("p01", "p06", "p08")

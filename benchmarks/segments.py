@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from benchmarks.measure import Figure, save
-from benchmarks.tile import PRACTICE
 from sim_heating.estimation.record_fit import StartMaker
 from sim_heating.estimation.starts import STARTS
 from sim_heating.estimation.trend import Trend, trend
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.inputs.sensor_model import measure
 from sim_heating.simulation.predict import predict
+from tests.support.tile import PRACTICE
 
 FloatArray = NDArray[np.float64]
 

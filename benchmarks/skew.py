@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import Figure, save
-from benchmarks.tile import NOISE_8_BIT, Tile, record
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, MODEL
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.estimation.fit import FitResult, estimate
+from tests.support.tile import NOISE_8_BIT, Tile, record
 
 PICTURE = Path(__file__).parent.parent / "docs" / "images" / "skew_coating.png"
 COATINGS_MIL = (10.0, 15.0, 20.0)

@@ -16,7 +16,14 @@ import matplotlib
 import numpy as np
 
 from benchmarks.measure import Figure, save
-from benchmarks.tile_fits import (
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import RunError
+from sim_heating.base.files.toml import read_toml_dict
+from sim_heating.inputs.record import load_record
+from sim_heating.inputs.scenario import Scenario, load_scenario
+from sim_heating.simulation.predict import predict
+from sim_heating.simulation.run import fly_scenario
+from tests.support.tile_fits import (
     TRANSITION,
     Clock,
     Tile,
@@ -27,13 +34,6 @@ from benchmarks.tile_fits import (
     rms,
     tiles_of,
 )
-from sim_heating.base.conditions import Conditions
-from sim_heating.base.errors import RunError
-from sim_heating.base.files.toml import read_toml_dict
-from sim_heating.inputs.record import load_record
-from sim_heating.inputs.scenario import Scenario, load_scenario
-from sim_heating.simulation.predict import predict
-from sim_heating.simulation.run import fly_scenario
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

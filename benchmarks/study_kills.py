@@ -18,9 +18,9 @@ from pathlib import Path
 
 import click
 
-from benchmarks.kills import inputs, readable, snapshot
 from benchmarks.measure import Figure, save
 from sim_heating.planning.plan import LEDGER, PAGE, SUMMARY
+from tests.support.kills import inputs, readable, snapshot
 
 KILLS = 20
 FLIGHTS = 48

@@ -13,13 +13,13 @@ from scipy.integrate import solve_ivp
 from benchmarks import cvodes
 from benchmarks.measure import RESULTS, Figure, one_thread, save
 from benchmarks.ode import FloatArray, System, arguments, jacobian, rate, rate_in_numpy, system_of
-from benchmarks.problems import entry, mesh_of, plug, prescribed
 from sim_heating.base.kernels.block import TIME
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.assembly import SHARE
 from sim_heating.thermal.frame import NOT_CONTROLLED_K, STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh
+from tests.support.problems import entry, mesh_of, plug, prescribed
 
 NODES = 24
 OUTPUT_S = 20.0

@@ -69,7 +69,7 @@ def test_a_wheel_has_every_file_of_the_package_and_of_the_data_folders(built):
 
 @pytest.mark.thorough
 def test_a_source_distribution_has_what_the_tests_and_pages_need(unpacked):
-    for folder in (*INSIDE, "sim_heating", "tests", "benchmarks", "examples", "docs"):
+    for folder in (*INSIDE, "sim_heating", "tests", "benchmarks", "tools", "examples", "docs"):
         assert files_below(unpacked / folder) == files_below(ROOT / folder)
     for name in ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", ".ci/run"):
         assert (unpacked / name).read_bytes() == (ROOT / name).read_bytes()

@@ -63,6 +63,32 @@ def test_closing_a_loop_imports_no_page():
     assert not wrong, "\n".join(wrong)
 
 
+ASIDE = {"tests/support": ("tests.support",), "benchmarks": ("tests.support", "benchmarks"),
+         "tools": ("tests.support", "benchmarks", "tools")}  # fmt: skip
+"""Code beside the package -> what it may import there: tools use benchmarks, which use what the tests share."""
+
+
+@pytest.mark.parametrize("place", ASIDE)
+def test_benchmarks_and_tools_build_on_what_tests_share(place):
+    wrong = [
+        f"{path.relative_to(ROOT)} imports {node.module}"
+        for path in sorted((ROOT / place).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and str(node.module).partition(".")[0] in ("tests", "benchmarks", "tools")
+        if not str(node.module).startswith(ASIDE[place])
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("place", ["benchmarks", "tools"])
+def test_every_module_beside_the_package_is_in_the_table_of_its_folder(place):
+    listed = (ROOT / place / "README.md").read_text()
+    modules_there = {p.stem for p in (ROOT / place).glob("*.py")} | {
+        p.parent.name for p in (ROOT / place).glob("*/*.py")
+    }
+    assert not {n for n in modules_there - {"__init__", "__main__"} if f"`{n}`" not in listed}
+
+
 def test_the_picture_of_the_architecture_is_that_of_the_imports():
     """Written again by `python -m tests.support.structure`."""
     text = PAGE.read_text()
@@ -74,7 +100,11 @@ def test_modules_that_texts_name_exist():
     """In code that a test or a benchmark hands to another process, in docstrings and on pages."""
     wrong = []
     pages = list((ROOT / "docs").rglob("*.md"))
-    code = [p for folder in ("sim_heating", "tests", "benchmarks", "examples") for p in (ROOT / folder).rglob("*.py")]
+    code = [
+        p
+        for folder in ("sim_heating", "tests", "benchmarks", "tools", "examples")
+        for p in (ROOT / folder).rglob("*.py")
+    ]
     for path in (ROOT / "README.md", *pages, *code):
         for name in re.findall(r"\b(?:from|import) (sim_heating(?:\.\w+)+)", path.read_text()):
             if name not in modules() and path.name != "test_user_effect.py":  # which imports what is gone, to be told

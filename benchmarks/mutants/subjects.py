@@ -14,9 +14,9 @@ from pathlib import Path
 
 import jsbsim
 
-from benchmarks.small_fmus import COMPILER, glide_fmu, library
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
+from tests.support.small_fmus import COMPILER, glide_fmu, library
 
 ROOT = Path(__file__).resolve().parents[2]
 POINT = "V09T9527"
@@ -483,7 +483,7 @@ def make_inputs(home: Path, closed: bool = True) -> None:
     for name, text in texts.items():
         (home / name).write_text(text)
     for name in ENVELOPE:
-        text = (ROOT / "benchmarks" / "small_inputs" / name).read_text()
+        text = (ROOT / "tests" / "data" / "small_inputs" / name).read_text()
         points = ('"V07T9730"', '"NOSECAP"', '"V09T9527"')
         for other in points[:2]:
             text = text.replace(other, points[2])

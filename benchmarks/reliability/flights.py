@@ -21,12 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.browser import CHROMIUM, Browser
 from benchmarks.journals import POINT, Running, free_port, hostile, message, missing, reading_K, wrong_units
 from benchmarks.measure import Figure, Keep
-from benchmarks.served import Loop
 from sim_heating.inputs.record import load_record
 from sim_heating.live.recording.journal import read_journal
+from tests.support.chromium import CHROMIUM, Browser
+from tests.support.served import Loop
 
 # A broker ------------------------------------------------------------------------------------------------------------
 

@@ -12,13 +12,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.journals import POINT, message, missing, wrong_units
-from benchmarks.kills import killed, operations
 from benchmarks.measure import Figure, Keep
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import results_digest, settle
 from sim_heating.cli import main
 from sim_heating.live.recording.journal import NAME, read_journal
 from sim_heating.live.results.files import RESULT
+from tests.support.kills import killed, operations
 
 MESSAGES = 60
 LINK = f"""format = "link/1"

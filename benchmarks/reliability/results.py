@@ -16,10 +16,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.kills import inputs, state
 from benchmarks.measure import Figure, Keep
 from sim_heating.base.files import MARKER
 from sim_heating.cli import main
+from tests.support.kills import inputs, state
 
 COMMANDS = {
     "run": ("run", "before.toml"),

@@ -21,9 +21,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.journals import SIGNALS, take_signals
-from benchmarks.kills import CAMPAIGN, POINT, fit, inputs
 from benchmarks.measure import Figure, Keep
 from sim_heating.base.files import MARKER, results_digest
+from tests.support.kills import CAMPAIGN, POINT, fit, inputs
 
 PATIENCE_S, AFTERWARDS_S = 120.0, 10.0
 """Time after a signal within which a command ends, and after it the processes that it started [s]."""

@@ -1,6 +1,6 @@
 """Evidence that is shipped with the package: verification rows by topic, counted statistics, measured data sets.
 
-`evidence.json` is made by `python -m benchmarks credibility` from benchmarks/results and the measured records; a test
+`evidence.json` is made by `python -m tools.credibility` from benchmarks/results and the measured records; a test
 compares it with these.
 """
 

@@ -1,6 +1,6 @@
 """JSON Schemas of the formats, from the models that read the files; kept in `sim_heating/schemas`.
 
-Python -m benchmarks.format_pages writes them and the pages of the formats again.
+Python -m tools.format_pages writes them and the pages of the formats again.
 """
 
 from __future__ import annotations

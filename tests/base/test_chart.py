@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.browser import Browser
 from sim_heating.base.report.chart import Chart, Curve, Panel, Span, chart_data, decimated, script_json
 from sim_heating.base.report.page import Page, Section, page_html, write_page
 from sim_heating.base.report.table import Column, Table
 from tests.support.browser import needs_browser
+from tests.support.chromium import Browser
 from tests.support.paths import ROOT
 
 VENDOR = ROOT / "sim_heating" / "base" / "report" / "vendor"

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from rich.text import Text
 
-from benchmarks.browser import Browser
 from sim_heating.base.errors import printable
 from sim_heating.base.report.chart import Chart, Curve, Panel, Span
 from sim_heating.base.report.figure import DPI, add_grid_and_title, new_figure, save_figure
@@ -32,6 +31,7 @@ from tests.support.browser import (
     needs_browser,
     shown,
 )
+from tests.support.chromium import Browser
 
 pytestmark = pytest.mark.filterwarnings("ignore:constrained_layout not applied")  # texts longer than the picture
 

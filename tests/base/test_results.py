@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.kills import Case, bad, kill_and_judge, killed, operations
 from sim_heating.base.errors import InputError, LeftOutWarning, RunError
 from sim_heating.base.files import (
     MARKER,
@@ -27,6 +26,7 @@ from sim_heating.base.files import (
     write_json,
     write_text_atomic,
 )
+from tests.support.kills import Case, bad, kill_and_judge, killed, operations
 from tests.support.systems import posix
 
 

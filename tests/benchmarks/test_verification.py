@@ -1,4 +1,4 @@
-"""A sample of `python -m benchmarks verification`, and the page that it writes."""
+"""A sample of `python -m benchmarks verification`, and the page of its rows."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import math
 import pytest
 
 from benchmarks.measure import RESULTS
-from benchmarks.verification import (
-    LEAST_ROWS,
-    PAGE,
+from benchmarks.verification import LEAST_ROWS
+from tests.support.paths import ROOT
+from tests.support.verification import (
     atmosphere,
     conduction,
     effects,
@@ -23,7 +23,7 @@ from benchmarks.verification import (
     trim,
     wall_steps,
 )
-from benchmarks.verification.row import Row, number, text_table
+from tests.support.verification.row import Row, number, text_table
 
 SAMPLE = (
     atmosphere.states, atmosphere.transport, gas.published, gas.viscosity, gas.perfect_gas,
@@ -46,7 +46,7 @@ def test_a_value_that_is_not_a_number_is_an_error_beyond_its_limit():
 
 def test_the_page_has_every_row_of_the_results():
     rows = json.loads((RESULTS / "verification.json").read_text())["rows"]
-    page = PAGE.read_text()
+    page = (ROOT / "docs" / "evidence" / "verification.md").read_text()
     assert len(rows) >= LEAST_ROWS
     assert len({row["reference"] for row in rows}) == len(rows)
     assert all(number(row["got"]) in page for row in rows)

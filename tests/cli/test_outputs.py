@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.kills import bad, case, kill_and_judge, snapshot
 from sim_heating.cli import main
 from tests.support.gliding import gliding
+from tests.support.kills import bad, case, kill_and_judge, snapshot
 from tests.support.paths import PRACTICE, TILE
 from tests.support.systems import posix
 

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.kills import state
 from sim_heating.base.parallel.threads import march_threads
 from sim_heating.cli import main
 from tests.support.gliding import gliding
+from tests.support.kills import state
 from tests.support.paths import PRACTICE, ROOT, TILE
 from tests.support.systems import posix
 

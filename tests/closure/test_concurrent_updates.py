@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.kills import Case, bad, kill_and_judge
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import exclusive
 from sim_heating.closure.revise.revisions import TableHistory, read_history, revert
@@ -18,6 +17,7 @@ from sim_heating.closure.revise.update import prepare_update, write_update
 from sim_heating.estimation.report.estimate_file import EstimatedParameter, read_estimate, write_estimate
 from sim_heating.inputs.vehicle import load_vehicle
 from tests.closure.test_update_tables import POINT, contents, edit, flown_records, update_and_write
+from tests.support.kills import Case, bad, kill_and_judge
 from tests.support.systems import posix
 
 __all__ = ["flown_records"]

@@ -9,7 +9,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.verification.exact import semi_infinite_flux, semi_infinite_linear_flux
 from sim_heating.base.files import read_csv_columns
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating, write_residual_heating
 from sim_heating.estimation.filter.heating_input import UnknownInput, unknown_input
@@ -20,6 +19,7 @@ from sim_heating.inputs.record import Record
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
 from tests.support.missing import record_with
+from tests.support.verification.exact import semi_infinite_flux, semi_infinite_linear_flux
 from tests.support.walls import flight, material, wall
 
 K, RHO, C = 0.5, 1000.0, 1000.0

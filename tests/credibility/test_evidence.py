@@ -6,13 +6,13 @@ import json
 
 import pytest
 
-from benchmarks import credibility
 from sim_heating.credibility.evidence import EVIDENCE, shipped_evidence
 from sim_heating.credibility.facts import topics
+from tools import credibility
 
 
 def test_the_shipped_evidence_is_that_of_the_results():
-    """Written again by `python -m benchmarks credibility`."""
+    """Written again by `python -m tools.credibility`."""
     shipped = json.loads(EVIDENCE.read_text())
     assert shipped["verification"]["digest"] == credibility.rows_digest()
     assert shipped["verification"]["topics"] == credibility.topics()

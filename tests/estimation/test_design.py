@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.kills import inputs
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.cli import main
@@ -30,6 +29,7 @@ from sim_heating.estimation.design.search import DesignSearch
 from sim_heating.inputs.scenario import load_scenario, with_design
 from sim_heating.thermal.stack import Sensor
 from tests.support.browser import assert_fits, needs_browser
+from tests.support.kills import inputs
 from tests.support.paths import SCENARIOS
 from tests.support.walls import practice_record
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from benchmarks.estimator_cases import CASES, record_of, repeatable
 from benchmarks.estimator_statistics import Repetitions, repeat
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.record_fit import LONGEST_STEP_S, march_times
@@ -20,6 +19,7 @@ from sim_heating.estimation.trend import state_at
 from sim_heating.inputs.record import Record
 from sim_heating.thermal.frame import NOT_CONTROLLED_K
 from sim_heating.thermal.mesh import halve_elements, interpolate_profile
+from tests.support.estimator_cases import CASES, record_of, repeatable
 from tests.support.walls import practice_record
 
 pytestmark = pytest.mark.thorough

@@ -7,11 +7,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.deposited_heat import DEPTH_BINS, TIME_BIN_S, Slab, deposited_heat, response
 from benchmarks.kaowool import BOARD, CONVECTION, EARLY_S, GAS_STARTS, VAPOUR, bare, physical, tried
-from benchmarks.quick_fit import Model, quick_fit
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.simulation.predict import predict
+from tests.support.deposited_heat import DEPTH_BINS, TIME_BIN_S, Slab, deposited_heat, response
+from tests.support.quick_fit import Model, quick_fit
 
 
 @cache

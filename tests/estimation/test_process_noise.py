@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from benchmarks.estimator_cases import CASES, Repeatable, record_of, start_at
 from benchmarks.process_noise import CASE, WANDERING, WHITE, bench_of, disturbed, measure_all
 from sim_heating.base.errors import RunError
 from sim_heating.base.files import read_csv_columns, read_json
@@ -22,6 +21,7 @@ from sim_heating.estimation.fit import fit_bounds
 from sim_heating.estimation.inference.newton import maximise
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.inputs.record import Segments, write_record
+from tests.support.estimator_cases import CASES, Repeatable, record_of, start_at
 
 NAMES = (
     "ratio.scale", "ratio.d_alpha", "stack.coating.thickness_factor", "clock.skew", "sensor.V09T9527.bias",

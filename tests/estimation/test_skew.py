@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from benchmarks.skew import COATING, NAMES, both_estimated, curve, fitted_factor
-from benchmarks.tile import NOISE_8_BIT, Tile, record
 from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.starts import profile_start
+from tests.support.tile import NOISE_8_BIT, Tile, record
 
 BOUND = 3.0
 """Standard deviations."""

@@ -12,12 +12,12 @@ import pytest
 from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 
-from benchmarks.format_pages import MARK, pages, shipped_files
 from sim_heating.base.files.schema import SCHEMAS, schema_line, schema_path
 from sim_heating.cli import cli
 from sim_heating.estimation.report.estimate_file import read_estimate
 from sim_heating.formats.catalogue import FORMATS, format_named, formats_with_schema
 from tests.support.paths import ROOT
+from tools.format_pages import MARK, pages, shipped_files
 
 WITH_SCHEMA = [f.name for f in formats_with_schema()]
 WRITTEN = pages()

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.verification.published import published_atmosphere
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import (
     EARTH_RADIUS_M,
@@ -22,6 +21,7 @@ from sim_heating.heating.atmosphere import (
     us76,
     us76_kernel,
 )
+from tests.support.verification.published import published_atmosphere
 
 compiling = settings(deadline=None)  # the first example waits for the compiler
 

@@ -5,14 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.verification.boundary_layer import (
-    Isobar,
-    plate,
-    solve,
-    stagnation_film,
-    swept_line,
-    van_driest_friction,
-)
 from sim_heating.heating.atmosphere import us76_kernel
 from sim_heating.heating.reference.cylinder import swept_cylinder_film
 from sim_heating.heating.reference.flat_plate import eckert_film, windward_edge_kernel
@@ -24,6 +16,14 @@ from sim_heating.heating.reference.gas import (
     air_transport_kernel,
 )
 from sim_heating.heating.reference.stagnation import fay_riddell_film, stagnation_kernel
+from tests.support.verification.boundary_layer import (
+    Isobar,
+    plate,
+    solve,
+    stagnation_film,
+    swept_line,
+    van_driest_friction,
+)
 
 RADIUS_M, LENGTH_M = 0.3048, 5.0
 

@@ -13,8 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.draw_effects import page
-from benchmarks.verification.exact import SIGMA
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import EFFECT_SLOTS
 from sim_heating.closure.search.trials.candidates import candidates
@@ -29,7 +27,9 @@ from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.frame import NOT_CONTROLLED_K
 from tests.support.paths import ROOT
+from tests.support.verification.exact import SIGMA
 from tests.support.walls import flight, heat, material, orders, practice_model, practice_record, wall
+from tools.draw_effects import page
 
 compiling = settings(deadline=None)  # the first example waits for the compiler
 alphas, any_re = st.floats(0.0, 60.0), st.floats(3.0, 8.0)

@@ -3,15 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.gas_table.__main__ import AIR, Air
-from benchmarks.gas_table.transport import (
-    SPECIES,
-    blottner_viscosity,
-    cea_viscosity,
-    coulomb_logarithm,
-    cross_section_viscosity,
-    wilke,
-)
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import sutherland_viscosity
 from sim_heating.heating.reference.gas import (
@@ -23,6 +14,15 @@ from sim_heating.heating.reference.gas import (
     air_temperature_kernel,
     air_transport_kernel,
     transport,
+)
+from tests.support.gas.cantera_air import AIR, Air
+from tests.support.gas.transport import (
+    SPECIES,
+    blottner_viscosity,
+    cea_viscosity,
+    coulomb_logarithm,
+    cross_section_viscosity,
+    wilke,
 )
 
 cantera = pytest.importorskip("cantera", reason="no wheel of Cantera for this Python")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.verification.exact import SIGMA, radiating_mass_time, radiation_equilibrium
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
+from tests.support.verification.exact import SIGMA, radiating_mass_time, radiation_equilibrium
 from tests.support.walls import flight, from_the_first_instant, heat, material, wall
 
 EPS, CP_J_KGK = 0.85, 1004.5

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from benchmarks.verification.exact import SIGMA
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels import block
 from sim_heating.heating.effects import EffectUse, combined_uses, effect, use
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
+from tests.support.verification.exact import SIGMA
 from tests.support.walls import flight, heat, material, wall
 
 compiling = settings(deadline=None, max_examples=30)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.verification.surface import constant_ratio, declared_ratios
 from sim_heating.base.errors import InputError
 from sim_heating.cli import cli
 from sim_heating.inputs.record import load_record, write_record
 from sim_heating.simulation.predict import predict
+from tests.support.verification.surface import constant_ratio, declared_ratios
 
 
 def test_a_constant_ratio_heats_as_its_balance_says():

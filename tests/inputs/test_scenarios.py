@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.signal import detrend
 
-from benchmarks.tile_fits import laminar
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
@@ -19,6 +18,7 @@ from sim_heating.simulation.run import RunResult, compare, fly_scenario, run, su
 from sim_heating.simulation.synthesize import synthesize
 from tests.support.gliding import gliding
 from tests.support.paths import SCENARIOS
+from tests.support.tile_fits import laminar
 
 approx = pytest.approx
 FOLDER = SCENARIOS

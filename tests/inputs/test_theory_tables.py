@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.verification.boundary_layer import plate, stagnation_film
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import us76_kernel
 from sim_heating.heating.reference.flat_plate import windward_edge_kernel
@@ -14,6 +13,7 @@ from sim_heating.heating.reference.gas import PRANDTL, air_temperature_kernel
 from sim_heating.heating.reference.stagnation import stagnation_kernel
 from sim_heating.inputs.ratio_sources import build_tables
 from tests.support.paths import ORBITER
+from tests.support.verification.boundary_layer import plate, stagnation_film
 
 SOURCE = """\
 format = "ratio-source/1"

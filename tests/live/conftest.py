@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.live_states import Flown
+from tests.support.live_states import Flown
 
 
 @pytest.fixture(scope="session")

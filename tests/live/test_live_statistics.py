@@ -12,8 +12,8 @@ from benchmarks.live_alarms import watch
 from benchmarks.live_bad import TWO_SIDED_95, damaged_packets, over
 from benchmarks.live_exact import against_estimate, apart_from_batch, bits_apart
 from benchmarks.live_speed import BEGIN_S, FRAMES_HZ, latencies, stream, waiting_too
-from benchmarks.live_streams import BadLink, Flight, known_flight, practice, samples_of_record
 from sim_heating.live.types import Frame
+from tests.support.live_streams import BadLink, Flight, known_flight, practice, samples_of_record
 
 pytestmark = pytest.mark.thorough
 

@@ -20,7 +20,6 @@ from websockets.asyncio.client import connect
 from websockets.asyncio.server import serve
 from websockets.exceptions import InvalidStatus
 
-from benchmarks.served import Loop, Served, served
 from sim_heating.base.errors import InputError
 from sim_heating.live.outputs.display import Display, table_curve
 from sim_heating.live.outputs.history import History
@@ -28,6 +27,7 @@ from sim_heating.live.outputs.lines import LARGEST_DATAGRAM, datagrams, lines_to
 from sim_heating.live.outputs.published import Published
 from sim_heating.live.outputs.server import PageServer, is_loopback
 from sim_heating.live.state import RemovedSensor, State, plain
+from tests.support.served import Loop, Served, served
 
 NOTHING = Display("nothing", {})
 PROMTOOL = shutil.which("promtool")

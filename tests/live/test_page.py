@@ -6,10 +6,10 @@ import threading
 import time
 from dataclasses import replace
 
-from benchmarks.browser import Browser
-from benchmarks.served import served
 from sim_heating.live.state import LinkState, RemovedSensor
 from tests.support.browser import PRINTABLE_PX, hostile, needs_browser
+from tests.support.chromium import Browser
+from tests.support.served import served
 
 pytestmark = needs_browser
 

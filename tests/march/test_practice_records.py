@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.verification import method_of_lines
 from sim_heating.inputs.record import pooled_rmse_K
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import choose_meshes, pack
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import halve_elements
+from tests.support.verification import method_of_lines
 from tests.support.walls import practice_model, practice_record
 
 NAMES = ["p06", "p07"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.verification.inside import back_losses
 from sim_heating.base.conditions import Conditions
 from sim_heating.heating.effects import use
 from sim_heating.inputs.points import conditions_of_record
@@ -13,6 +12,7 @@ from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.history import PointHistory, march_points
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.thermal.faces import SIGMA
+from tests.support.verification.inside import back_losses
 from tests.support.walls import heat_content, practice_model, practice_record
 
 LAMP_W_M2 = 2.0e4

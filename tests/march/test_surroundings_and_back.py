@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from benchmarks.verification.exact import SIGMA
 from sim_heating.base.conditions import FRAME, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import SEA_LEVEL_PA, free_stream, us76
@@ -22,6 +21,7 @@ from sim_heating.planning.soak import with_soak
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.run import fly_scenario
 from tests.support.paths import SCENARIOS
+from tests.support.verification.exact import SIGMA
 from tests.support.walls import flight, heat, material, practice_record, wall
 
 EPS, THICK_M = 0.8, 1e-3

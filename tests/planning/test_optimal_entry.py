@@ -21,13 +21,13 @@ from tests.support.paths import SCENARIOS
 
 pytest.importorskip("casadi", reason="optimal entries need CasADi: pip install 'sim-heating[plan]'")
 
-from benchmarks import betts
 from benchmarks.optimal import peaks_with_drawn_tables
 from sim_heating.planning.optimal import dynamics as od
 from sim_heating.planning.optimal import search, tables
 from sim_heating.planning.optimal.collocation import Transcription, refined_mesh
 from sim_heating.planning.optimal.search import fly_optimal
 from sim_heating.planning.optimal.spec import OptimalStudyFile, load_optimal_study, optimal_study, without_limits
+from tests.support import betts
 
 STUDIES = SCENARIOS / "studies"
 BEND = np.array([0.1, 0.5])

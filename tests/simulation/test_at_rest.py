@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.verification.at_rest import POINTS, RUNWAY, rows
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.heating.surroundings import surroundings_kernel
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.plugin import HeatingPlugin
+from tests.support.verification.at_rest import POINTS, RUNWAY, rows
 
 
 @pytest.mark.thorough

@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.tile_fits import Tile, fitted, laminar, onset_time_s, rise_time_s, starts_at
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from sim_heating.estimation.problem import joint_reference
@@ -16,6 +15,7 @@ from sim_heating.inputs.record import Record, load_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.simulation.measured_records import compared_records
 from tests.support.paths import SCENARIOS
+from tests.support.tile_fits import Tile, fitted, laminar, onset_time_s, rise_time_s, starts_at
 
 RECORDS = SCENARIOS / "records"
 TILES = ("STS96_468", "STS96_480", "STS96_597", "STS96_730")

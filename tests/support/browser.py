@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.browser import CHROMIUM, Browser
 from sim_heating.base.report.page import CHART_SCRIPTS, SHARED_SCRIPTS, TABLE_SCRIPTS
+from tests.support.chromium import CHROMIUM, Browser
 from tests.support.paths import ROOT
 
 needs_browser = pytest.mark.browser

@@ -1,7 +1,7 @@
-"""Tests that compile the small FMUs of benchmarks/small_fmus."""
+"""Tests that compile the small FMUs of tests/support/small_fmus."""
 
 import pytest
 
-from benchmarks.small_fmus import COMPILER
+from tests.support.small_fmus import COMPILER
 
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler found")

@@ -15,13 +15,13 @@ import pandas as pd
 import pytest
 
 from benchmarks.layouts import GOAL_READ, outcomes, share_read
-from benchmarks.verification.loggers import LOGGERS, READ
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from sim_heating.cli.path_check import descriptions
 from sim_heating.inputs.record import load_record
 from sim_heating.templates.loggers.readings import far_off
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, MeasuredCsv, read_measured_csv
+from tests.support.verification.loggers import LOGGERS, READ
 from tests.templates.test_new_record import refused, run
 
 

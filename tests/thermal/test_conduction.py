@@ -11,7 +11,12 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.verification.exact import (
+from sim_heating.march.ensemble import Ensemble, condition_history
+from sim_heating.march.mesh_choice import pack
+from sim_heating.march.point import PointModel
+from sim_heating.thermal.frame import NOT_CONTROLLED_K
+from sim_heating.thermal.mesh import build_mesh, halve_elements
+from tests.support.verification.exact import (
     coated_surface,
     cosine_decay,
     semi_infinite_film,
@@ -19,12 +24,7 @@ from benchmarks.verification.exact import (
     semi_infinite_linear_flux,
     slab_flux,
 )
-from benchmarks.verification.numerics import cosine_error
-from sim_heating.march.ensemble import Ensemble, condition_history
-from sim_heating.march.mesh_choice import pack
-from sim_heating.march.point import PointModel
-from sim_heating.thermal.frame import NOT_CONTROLLED_K
-from sim_heating.thermal.mesh import build_mesh, halve_elements
+from tests.support.verification.numerics import cosine_error
 from tests.support.walls import (
     even_mesh,
     flight,

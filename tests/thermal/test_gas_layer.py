@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.verification.inside import gas_layer, gas_layer_K
 from sim_heating.heating import flight_variables
 from sim_heating.march.linearised import LinearMarch, Track
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import build_mesh, halve_elements
 from sim_heating.thermal.stack import Sensor, material_problems, sensor_problems
+from tests.support.verification.inside import gas_layer, gas_layer_K
 from tests.support.walls import flight, heat
 
 

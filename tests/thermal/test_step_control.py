@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from benchmarks.verification.exact import SIGMA, semi_infinite_flux
 from sim_heating.heating import flight_variables
 from sim_heating.heating.effects import use
 from sim_heating.march.ensemble import Ensemble, condition_history
@@ -19,6 +18,7 @@ from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.frame import NOT_CONTROLLED_K, STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh
+from tests.support.verification.exact import SIGMA, semi_infinite_flux
 from tests.support.walls import flight, heat, heat_content, material, practice_model, practice_record, wall
 
 K, C, RHO, EPS, CP = 0.06, 1100.0, 144.0, 0.85, 1004.5

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.verification.trim import PUBLISHED_TRIM
 from sim_heating.base.errors import InputError
 from sim_heating.trajectory.aero import Aero, load_aero
 from sim_heating.trajectory.jsbsim.host import open_vehicle
 from tests.support.paths import ORBITER
+from tests.support.verification.trim import PUBLISHED_TRIM
 
 approx = pytest.approx
 

@@ -12,17 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.verification.trajectories import (
-    SCALE_M,
-    STS107,
-    VACUUM,
-    allen_eggers_speed,
-    ballistic_entry,
-    glide,
-    orbit_integrals,
-    spec,
-    vacuum_orbit,
-)
 from sim_heating.base.conditions import EXTRAS, FRAME, SURFACES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.heating.atmosphere import G0_M_S2, us76
@@ -38,6 +27,17 @@ from sim_heating.trajectory.jsbsim import entry as jsbsim
 from sim_heating.trajectory.spec import GuidanceChanges, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, trimmed_kernel
 from tests.support.paths import ORBITER, ROOT
+from tests.support.verification.trajectories import (
+    SCALE_M,
+    STS107,
+    VACUUM,
+    allen_eggers_speed,
+    ballistic_entry,
+    glide,
+    orbit_integrals,
+    spec,
+    vacuum_orbit,
+)
 
 VEHICLE = load_vehicle(ORBITER)
 AERO = load_aero(ORBITER)

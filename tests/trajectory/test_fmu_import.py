@@ -15,7 +15,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.small_fmus import closed_form, description, feedthrough_fmu, glide_fmu, library, pack, platform_folder
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.units import conversion, known_unit
 from sim_heating.heating.atmosphere import us76
@@ -31,6 +30,15 @@ from sim_heating.trajectory.jsbsim.host import euler_angles
 from sim_heating.trajectory.spec import TrajectorySpec
 from tests.support.fmus import needs_compiler
 from tests.support.paths import ORBITER
+from tests.support.small_fmus import (
+    closed_form,
+    description,
+    feedthrough_fmu,
+    glide_fmu,
+    library,
+    pack,
+    platform_folder,
+)
 
 VEHICLE = load_vehicle(ORBITER)
 

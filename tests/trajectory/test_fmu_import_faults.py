@@ -19,7 +19,6 @@ from typing import Any
 import fmpy
 import pytest
 
-from benchmarks.small_fmus import FAULTS, UNITS, description, glide_fmu, library, pack, platform_folder
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.cli import main
 from sim_heating.inputs.vehicle import load_vehicle
@@ -29,6 +28,7 @@ from sim_heating.trajectory.fmu.session import FmuSession
 from sim_heating.trajectory.spec import TrajectorySpec
 from tests.support.fmus import needs_compiler
 from tests.support.paths import ORBITER
+from tests.support.small_fmus import FAULTS, UNITS, description, glide_fmu, library, pack, platform_folder
 from tests.support.systems import posix
 
 pytestmark = [needs_compiler, posix]

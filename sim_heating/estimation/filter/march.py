@@ -130,7 +130,7 @@ class FilterTrack:
     noise_K2_s    : white process noise of every node, or (node,) [K2/s]
     disturbance   : of the heating ratio
     freeze_after_s  : time after which gains are frozen [s]: those of one step serve for all that have readings at the
-                    same places in it; an approximation, see `python -m benchmarks covariance`
+                    same places in it; an approximation, see decision 0014
     """
 
     model: PointModel

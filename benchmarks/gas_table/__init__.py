@@ -1,1 +1,0 @@
-"""The table of equilibrium air that ships with the package: how its columns are computed, from published data."""

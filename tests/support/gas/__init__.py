@@ -1,0 +1,1 @@
+"""Equilibrium air, computed from published data by other programs."""
