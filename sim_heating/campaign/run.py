@@ -20,6 +20,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.campaign.ageing import next_flight_settings
 from sim_heating.campaign.carried import Carried, agreed, mean_estimates, read_carried
 from sim_heating.campaign.flights import CampaignFlight, flights_of_records, record_directories, with_seed
-from sim_heating.campaign.joint import agreement, groups_of
+from sim_heating.campaign.joint import Group, agreement, groups_of
 from sim_heating.campaign.manoeuvre_fits import FitTask, FittedSpan, fit_job, fitted_span, run_fit, usable  # fmt: skip
 from sim_heating.campaign.report import FILES, NEXT_FLIGHT, PAGE, SUMMARY, write_campaign_page, write_csvs
 from sim_heating.campaign.result import CampaignResult
@@ -303,33 +304,51 @@ def _segment(result: CampaignResult, flight: CampaignFlight, manoeuvre: Any, poi
     return fitted_span(flight, flight.records[point], manoeuvre, settings)
 
 
+def _good_fits(
+    result: CampaignResult, point: str, group: Group, carried: Mapping[tuple[str, str], Carried]
+) -> list[dict[str, Any]]:
+    """Fits of the flights of a group at a control point that are good, of records without a doubt."""
+    singles = [r for r in result.fits if r["control_point"] == point and r["group"] == group.name]
+    return [r for r in singles if not usable(r) and not carried.get((r["flights"][0], point), Carried()).doubt]
+
+
+def _joint_task(
+    result: CampaignResult,
+    point: str,
+    group: Group,
+    good: Sequence[Mapping[str, Any]],
+    carried: Mapping[tuple[str, str], Carried],
+    engine: Engine,
+) -> tuple[FitTask, list[Record]] | None:
+    """The joint fit of good fits of a group and its records; None where a parameter changes from flight to flight."""
+    flights = {f.name: f for f in result.flights}
+    names = tuple(r["flights"][0] for r in good)
+    common = mean_estimates([carried.get((name, point), Carried()).estimates for name in names])
+    records = [flights[name].records[point] for name in names]
+    first = next(m for name, m in group.members if name == names[0])
+    settings = result.campaign.settings(names[0], point, first)
+    if ageing := [n for n in settings.parameters or () if n in result.campaign.declared.ageing]:
+        result.omitted.append(f"{point}, {group.name}: not fitted jointly, since {', '.join(ageing)} changes")
+        return None
+    task = FitTask(
+        point, group.name, group.name, names, tuple(str(r.directory) for r in records),
+        tuple((s[0], s[1]) for r in good for s in r["segments"]), str(engine.out / JOINT / point / group.name),
+        tuple(s for r in good for s in r["starts"]), _as_data(settings),
+        good[0]["reference_condition"], common, result.campaign.root,
+    )  # fmt: skip
+    return task, records
+
+
 def _fit_jointly(
     result: CampaignResult, carried: Mapping[tuple[str, str], Carried], engine: Engine, progress: Progress
 ) -> None:
     """Fit the flights of each group together at every control point, those whose own fit is good."""
     tasks, members = [], []
-    flights = {f.name: f for f in result.flights}
-    for point in result.points:
-        for group in result.groups:
-            singles = [r for r in result.fits if r["control_point"] == point and r["group"] == group.name]
-            good = [r for r in singles if not usable(r) and not carried.get((r["flights"][0], point), Carried()).doubt]
-            if len(good) < 2:
-                continue
-            names = tuple(r["flights"][0] for r in good)
-            common = mean_estimates([carried.get((name, point), Carried()).estimates for name in names])
-            records = [flights[name].records[point] for name in names]
-            first = next(m for name, m in group.members if name == names[0])
-            settings = result.campaign.settings(names[0], point, first)
-            if ageing := [n for n in settings.parameters or () if n in result.campaign.declared.ageing]:
-                result.omitted.append(f"{point}, {group.name}: not fitted jointly, since {', '.join(ageing)} changes")
-                continue
-            task = FitTask(
-                point, group.name, group.name, names, tuple(str(r.directory) for r in records),
-                tuple((s[0], s[1]) for r in good for s in r["segments"]), str(engine.out / JOINT / point / group.name),
-                tuple(s for r in good for s in r["starts"]), _as_data(settings),
-                good[0]["reference_condition"], common, result.campaign.root,
-            )  # fmt: skip
-            tasks.append((task, records))
+    for point, group in product(result.points, result.groups):
+        good = _good_fits(result, point, group, carried)
+        joint = None if len(good) < 2 else _joint_task(result, point, group, good, carried, engine)
+        if joint is not None:
+            tasks.append(joint)
             members.append(good)
     for row, good in zip(_run_fits("joint fits", tasks, engine, progress), members, strict=True):
         found_agreement = None if "failed" in row else agreement(good, row)

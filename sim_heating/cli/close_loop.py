@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -137,23 +138,28 @@ def _print_rows(rows: list[dict[str, Any]]) -> None:
     print_table(table, lambda i, k: "red" if k == finding and ("failed" in rows[i] or rows[i]["data_faults"]) else "")
 
 
+def _finding_lines(report: Closure) -> Iterator[str]:
+    """Lines on what is found: the statement, other causes, what would tell them apart, parameters, proposals."""
+    yield f"{report.statement.in_words()}. {report.statement.certainty()}"
+    for cause in report.statement.not_effects:
+        yield f"Not an aerothermal effect ({cause.kind}): {cause.what}"
+    for line in report.statement.would_tell():
+        yield f"To tell them apart: {line}"
+    for effect in report.effects:
+        if effect.parameters:
+            yield f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}"
+    if report.effects[0].name == "unknown":
+        yield from report.evidence.proposal()
+
+
 def _print_details(report: Closure) -> None:
     """Print faults of the data, parameters of the effects, proposals and warnings of one record."""
     from sim_heating.estimation.report.remarks import further_warnings
 
     for fault in report.faults:
         print_warning(fault.message)
-    CONSOLE.print(f"{report.statement.in_words()}. {report.statement.certainty()}")
-    for cause in report.statement.not_effects:
-        CONSOLE.print(f"Not an aerothermal effect ({cause.kind}): {cause.what}")
-    for line in report.statement.would_tell():
-        CONSOLE.print(f"To tell them apart: {line}")
-    for effect in report.effects:
-        if effect.parameters:
-            CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")
-    if report.effects[0].name == "unknown":
-        for line in report.evidence.proposal():
-            CONSOLE.print(line)
+    for line in _finding_lines(report):
+        CONSOLE.print(line)
     for remark in report.remarks:
         print_warning(remark.in_words)
     for line in further_warnings(report.warnings, report.remarks):

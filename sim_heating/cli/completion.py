@@ -83,14 +83,14 @@ def _below(start: Path, kinds: str) -> Iterator[str]:
             if kinds == "path" or (kinds == "vehicle") is ("vehicle.toml" in names):
                 yield folder.as_posix()
             continue
-        for entry in entries:
-            if entry.name.startswith("."):
-                continue
-            if entry.is_dir(follow_symlinks=False):
-                if depth < DEPTH:
-                    waiting.append((folder / entry.name, depth + 1))
-            elif of_files and entry.name.endswith(".toml") and _is_of_format(folder / entry.name, begins):
-                yield (folder / entry.name).as_posix()
+        visible = [entry for entry in entries if not entry.name.startswith(".")]
+        inner = [folder / entry.name for entry in visible if entry.is_dir(follow_symlinks=False)]
+        waiting += [(path, depth + 1) for path in inner] if depth < DEPTH else []
+        if of_files:
+            files = [
+                folder / e.name for e in visible if e.name.endswith(".toml") and not e.is_dir(follow_symlinks=False)
+            ]
+            yield from (path.as_posix() for path in files if _is_of_format(path, begins))
 
 
 def _is_of_format(path: Path, begins: str | None) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -269,16 +270,8 @@ def estimate(
         names = write_fit(fitted, out)
     contents = estimate_contents(fitted)
     print_table(estimate_table(f"{', '.join(r.name for r in loaded)}: estimate", contents))
-    for name, p in contents.fixed.items():
-        if name not in contents.not_estimated:
-            CONSOLE.print(f"{name}: fixed at {p.value:g}{'' if p.unit == '1' else f' {p.unit}'}")
-    for name, other in contents.ties.items():
-        if name != other:
-            CONSOLE.print(f"{name}: tied to {other}")
-    for profile in fitted.profiles.values():
-        CONSOLE.print(profile.in_words())
-    for name, why in contents.not_estimated.items():
-        CONSOLE.print(f"{name}: not estimated, {why}")
+    for line in _parameter_lines(contents, [profile.in_words() for profile in fitted.profiles.values()]):
+        CONSOLE.print(line)
     for remark in contents.remarks:
         print_warning(remark.in_words)
     for line in further_warnings(fitted.warnings, contents.remarks):
@@ -330,6 +323,19 @@ def _estimate_trend(
     for line in fitted.warnings:
         print_warning(line)
     print_outputs(out, names, {"segments": len(fitted.segments), "left_out": fitted.left_out})
+
+
+def _parameter_lines(contents: Any, profiles: Sequence[str]) -> Iterator[str]:
+    """Lines on parameters that are fixed or tied, on their profiles, and on those that are not estimated."""
+    for name, p in contents.fixed.items():
+        if name not in contents.not_estimated:
+            yield f"{name}: fixed at {p.value:g}{'' if p.unit == '1' else f' {p.unit}'}"
+    for name, other in contents.ties.items():
+        if name != other:
+            yield f"{name}: tied to {other}"
+    yield from profiles
+    for name, why in contents.not_estimated.items():
+        yield f"{name}: not estimated, {why}"
 
 
 def _print_errors(contents: Any) -> None:

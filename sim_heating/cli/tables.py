@@ -191,13 +191,7 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
         _export_aero(name, out, root)
         return
     if out is not None and out.name == "aero":
-        from sim_heating.trajectory.aero_exchange import import_aero
-
-        for path in sorted(out.glob("*.csv")):
-            if not replaces_others():
-                raise InputError(f"{display_path(path)}: exists; choose another folder, or --force replaces it")
-        for path in import_aero(source, out):
-            CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
+        _import_aero(source, out)
         return
     point = load_vehicle(name, root=root).control_point(point_name) if is_point else None
     read = read_table(source) if point is None else point.ratio
@@ -218,6 +212,18 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
         write_table(out, read)
     report_files(None, [out])
     CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+
+
+def _import_aero(source: str, out: Path) -> None:
+    """Write the aerodynamic tables of a vehicle from a DAVE-ML model."""
+    from sim_heating.base.files import display_path, replaces_others
+    from sim_heating.trajectory.aero_exchange import import_aero
+
+    for path in sorted(out.glob("*.csv")):
+        if not replaces_others():
+            raise InputError(f"{display_path(path)}: exists; choose another folder, or --force replaces it")
+    for path in import_aero(source, out):
+        CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
 
 
 def _export_aero(vehicle: str, out: Path, root: Path | None) -> None:

@@ -379,43 +379,11 @@ def estimate(
     if profiles and process_noise is not None:
         raise InputError(WITHOUT_NOISE.format(profiles[0]))
     listed = [records] if isinstance(records, (Record, str, os.PathLike)) else records
-    loaded = load_records(listed)
-    check_joint_records(loaded)
-    checked = [without_stuck_sensors(record) for record in loaded]
-    loaded, notes = [record for record, _ in checked], [line for _, lines in checked for line in lines]
-    cleaned = [without_outliers(record) for record in loaded]
-    loaded, outliers = [record for record, _ in cleaned], [o for _, of_record in cleaned for o in of_record]
-    notes += outlier_lines(outliers, {record.name: record for record in loaded})
-    fewer = [averaged_record(record) for record in loaded]
-    loaded, averaged = [record for record, _ in fewer], [line for _, lines in fewer for line in lines]
-    for line in averaged:
-        progress(0.0, line)
-    notes = [*averaged, *notes]
-    options = FitOptions(
-        effects,
-        fixed=fixed,
-        priors=priors,
-        bounds=bounds,
-        ties=ties,
-        starts=starts,
-    )
-    names, omitted, optional = _labels_to_estimate(parameters, loaded, options)
-    condition = joint_reference(loaded, reference)
-    remaining = _remaining_names(names, omitted, loaded)
-    options = _without(options, set(omitted), Owners(loaded))
+    loaded, outliers, notes = _cleaned(load_records(listed), progress)
+    options = FitOptions(effects, fixed=fixed, priors=priors, bounds=bounds, ties=ties, starts=starts)
     first = {} if settings is None else settings.first_values
-    problem = FitProblem(loaded, remaining, condition, options)
-    _check_samples(problem)
-    begin = first_values(problem, first)
-    while worst := _least_determined(problem, begin) or _uninformed(problem, begin, optional):
-        # derivatives one at a time: each omission lowers the bounds of the others
-        omitted |= worst
-        out = {m for u in problem.unknowns if u.label in worst for m in (u.tied or (u.label,))}
-        remaining = _remaining_names([n for n in remaining if n not in out], omitted, loaded)
-        options = _without(options, out, problem.owners)
-        problem = FitProblem(loaded, remaining, condition, options)
-        begin = first_values(problem, first)
-    fit, innovations = _fit(problem, begin, settings, progress), None
+    problem, omitted = _informed_problem(loaded, parameters, joint_reference(loaded, reference), options, first)
+    fit, innovations = _fit(problem, first_values(problem, first), settings, progress), None
     if process_noise is None:
         problem, fit = _with_noisy_conditions(problem, fit, settings)
     elif fit.status is not Status.NO_START:
@@ -424,11 +392,58 @@ def estimate(
     check_profiles(wanted_profiles, [u.label for u in problem.unknowns], innovations)
     fit_result = replace(_fit_result(problem, fit, omitted, notes, innovations), outliers=tuple(outliers))
     LOG.info("%r in %d iterations", fit_result, fit.iterations)
-    return (
-        replace(fit_result, profiles={name: fit_result.profile(name) for name in wanted_profiles})
-        if profiles
-        else fit_result
-    )
+    if not profiles:
+        return fit_result
+    return replace(fit_result, profiles={name: fit_result.profile(name) for name in wanted_profiles})
+
+
+def _cleaned(records: Sequence[Record], progress: Progress) -> tuple[list[Record], list[Outlier], list[str]]:
+    """Records as they are fitted: without stuck sensors and outliers, averaged where they have very many readings.
+
+    returns : the records, their outliers, and lines on what was left out and averaged
+    """
+    check_joint_records(records)
+    checked = [without_stuck_sensors(record) for record in records]
+    cleaned = [without_outliers(record) for record, _ in checked]
+    fewer = [averaged_record(record) for record, _ in cleaned]
+    outliers = [outlier for _, of_record in cleaned for outlier in of_record]
+    averaged = [line for _, lines in fewer for line in lines]
+    for line in averaged:
+        progress(0.0, line)
+    stuck = [line for _, lines in checked for line in lines]
+    notes = [*averaged, *stuck, *outlier_lines(outliers, {record.name: record for record, _ in cleaned})]
+    return [record for record, _ in fewer], outliers, notes
+
+
+def _informed_problem(
+    records: Sequence[Record],
+    parameters: Sequence[str] | None,
+    condition: tuple[float, ...],
+    options: FitOptions,
+    first: Mapping[str, float],
+) -> tuple[FitProblem, dict[str, str]]:
+    """The problem of the parameters that the records determine, and why others are not estimated.
+
+    condition : values of ratio variables that derivatives are about ([deg], [-])
+    first     : values that the iteration begins with
+    """
+    names, omitted, optional = _labels_to_estimate(parameters, records, options)
+    remaining = _remaining_names(names, omitted, records)
+    options = _without(options, set(omitted), Owners(records))
+    problem = FitProblem(records, remaining, condition, options)
+    _check_samples(problem)
+    while worst := _weakest(problem, first_values(problem, first), optional):
+        omitted |= worst
+        out = {m for u in problem.unknowns if u.label in worst for m in (u.tied or (u.label,))}
+        remaining = _remaining_names([n for n in remaining if n not in out], omitted, records)
+        options = _without(options, out, problem.owners)
+        problem = FitProblem(records, remaining, condition, options)
+    return problem, omitted
+
+
+def _weakest(problem: FitProblem, values: FloatArray, optional: frozenset[str]) -> dict[str, str]:
+    """Parameters to leave out next, and why: derivatives one at a time, since each lowers the bounds of the others."""
+    return _least_determined(problem, values) or _uninformed(problem, values, optional)
 
 
 def check_profiles(names: Sequence[str], labels: Sequence[str], innovations: Innovations | None) -> None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -194,6 +194,9 @@ class _Problems:
 
     def add(self, line: str) -> None:
         self.lines.append(line)
+
+    def add_all(self, lines: Iterable[str]) -> None:
+        self.lines.extend(lines)
 
 
 def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.PathLike[str] | None = None) -> Vehicle:
@@ -427,39 +430,47 @@ def _read_control_points(
         if file.name != path.stem:
             problems.add(f'{display_path(path)}: `name`: "{file.name}" is not the name of the file')
         if vehicle is not None:
-            for line in _position_problems(path, file, vehicle):
-                problems.add(line)
+            problems.add_all(_vehicle_problems(path, file, vehicle))
             tell(_position_remarks(path, file, vehicle))
         construction = None
         if invalid.isdisjoint(layer.material for layer in file.stack.layer):
             construction = problems.attempt(_construct_wall, file, materials, display_path(path))
-        if file.recovery == LINE and vehicle is not None and vehicle.heating.sweep_deg is None:
-            rule = f'"{LINE}" needs the sweep of "{SWEPT}", which the [heating] of vehicle.toml does not have'
-            problems.add(f"{display_path(path)}: `recovery`: {rule}")
         recovery = recovery_of(file, None if vehicle is None else vehicle.heating)
         ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle, recovery)
         turbulent = problems.attempt(_read_turbulent, path, file, vehicle, recovery)
         tables += [(file.name, file.ratio_table, ratio)] if ratio is not None else []
         tables += [(file.name, file.ratio_table_turbulent or "", table) for table in turbulent or ()]
         effects = problems.attempt(_effects, path, file, vehicle)
-        if construction is not None and ratio is not None and turbulent is not None and effects is not None:
-            flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
-            if flow is not None:
-                declared = (_transition(file, vehicle), _catalysis(file, vehicle))
-                control_point = _control_point(file, construction, ratio, effects, flow, *declared)
-                stack = None if file.interface is None else file.interface.stack
-                if stack is not None and invalid.isdisjoint(layer.material for layer in stack.layer):
-                    where = f"{display_path(path)}, [interface]"
-                    control_point = replace(
-                        control_point, upstream=problems.attempt(construct, stack, materials, where)
-                    )
-                points[file.name] = control_point
+        if construction is None or ratio is None or turbulent is None or effects is None:
+            continue
+        flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
+        if flow is not None:
+            declared = (_transition(file, vehicle), _catalysis(file, vehicle))
+            control_point = _control_point(file, construction, ratio, effects, flow, *declared)
+            upstream = _upstream(path, file, materials, invalid, problems)
+            points[file.name] = replace(control_point, upstream=upstream)
     if len(points) == len(list(directory.glob("control_points/*.toml"))):
-        for line in _interface_problems(directory, points):
-            problems.add(line)
-    for line in (*_repeated_sensors(directory, points), *_tables_of_others(directory, tables)):
-        problems.add(line)
+        problems.add_all(_interface_problems(directory, points))
+    problems.add_all((*_repeated_sensors(directory, points), *_tables_of_others(directory, tables)))
     return points
+
+
+def _vehicle_problems(path: Path, file: ControlPointFile, vehicle: VehicleFile) -> Iterator[str]:
+    """Where a control point does not fit its vehicle: its position, and the sweep that its recovery needs."""
+    yield from _position_problems(path, file, vehicle)
+    if file.recovery == LINE and vehicle.heating.sweep_deg is None:
+        rule = f'"{LINE}" needs the sweep of "{SWEPT}", which the [heating] of vehicle.toml does not have'
+        yield f"{display_path(path)}: `recovery`: {rule}"
+
+
+def _upstream(
+    path: Path, file: ControlPointFile, materials: Mapping[str, Material], invalid: frozenset[str], problems: _Problems
+) -> Construction | None:
+    """The wall ahead of the interface of a control point; None where it declares none, or an invalid material."""
+    stack = None if file.interface is None else file.interface.stack
+    if stack is None or not invalid.isdisjoint(layer.material for layer in stack.layer):
+        return None
+    return problems.attempt(construct, stack, materials, f"{display_path(path)}, [interface]")
 
 
 def _interface_problems(directory: Path, points: Mapping[str, ControlPoint]) -> list[str]:

@@ -208,6 +208,37 @@ def _netcdf_name(name: str) -> str:
     return plain if plain[:1].isalnum() or plain[:1] == "_" else f"_{plain}"
 
 
+PER_POINT = ("control_point", "time")
+"""Dimensions of the history of each control point."""
+
+
+def _point_variables(
+    points: Sequence[PointHistory], limits: Mapping[str, Mapping[str, float | None]]
+) -> dict[str, Any]:
+    """Variables of a data set: temperatures, ratio, heat and margins of each control point, and its limits."""
+    data: dict[str, Any] = {
+        key: (PER_POINT, np.array([getattr(p, key) for p in points]), _attributes(key))
+        for key in ("surface_K", "bondline_K", "ratio")
+    }
+    heat = [p.heat.columns() | _margins(p, limits[p.name]) for p in points]
+    data |= {key: (PER_POINT, np.array([h[key] for h in heat]), _attributes(key)) for key in heat[0]}
+    for name in ("surface", "bondline"):
+        limits_K = [limits[p.name].get(f"{name}_K") for p in points]
+        values = np.array([np.nan if limit is None else limit for limit in limits_K])
+        data[f"{name}_limit_K"] = ("control_point", values, _attributes(f"{name}_limit_K"))
+    return data
+
+
+def _band_variables(points: Sequence[PointHistory], *, has_sensors: bool) -> dict[str, Any]:
+    """Variables of a data set: the bands of each control point, all of which have one, and of the sensors."""
+    bands = [p.band.columns() for p in points if p.band is not None]
+    data = {key: (PER_POINT, np.array([b[key] for b in bands]), _attributes(key)) for key in bands[0]}
+    for end in ("low", "high") if has_sensors else ():
+        of_sensors = np.concatenate([getattr(p.band, f"{end}_K")[2:] for p in points])
+        data[f"sensor_{end}_K"] = (("sensor", "time"), of_sensors, _attributes(f"sensor_{end}_K"))
+    return data
+
+
 def histories_dataset(
     flown: Conditions,
     points: Sequence[PointHistory],
@@ -226,32 +257,14 @@ def histories_dataset(
     import xarray as xr  # slow to import, and wanted only where results are written
 
     names = [s.name for p in points for s in sensors[p.name]]
-    per_point = ("control_point", "time")
-    data: dict[str, Any] = {
-        key: (per_point, np.array([getattr(p, key) for p in points]), _attributes(key))
-        for key in ("surface_K", "bondline_K", "ratio")
-    }
-    heat = [p.heat.columns() | _margins(p, limits[p.name]) for p in points]
-    data |= {key: (per_point, np.array([h[key] for h in heat]), _attributes(key)) for key in heat[0]}
-    for name in ("surface", "bondline"):
-        limits_K = [limits[p.name].get(f"{name}_K") for p in points]
-        values = np.array([np.nan if limit is None else limit for limit in limits_K])
-        data[f"{name}_limit_K"] = ("control_point", values, _attributes(f"{name}_limit_K"))
-    data["sensor_K"] = (
-        ("sensor", "time"),
-        np.concatenate([p.sensors_K for p in points]) if names else np.zeros((0, len(flown))),
-        _attributes("sensor_K"),
-    )
+    data = _point_variables(points, limits)
+    sensors_K = np.concatenate([p.sensors_K for p in points]) if names else np.zeros((0, len(flown)))
+    data["sensor_K"] = (("sensor", "time"), sensors_K, _attributes("sensor_K"))
     if points and all(p.band is not None for p in points):
-        bands = [p.band.columns() for p in points if p.band is not None]
-        data |= {key: (per_point, np.array([b[key] for b in bands]), _attributes(key)) for key in bands[0]}
-        if names:
-            for end in ("low", "high"):
-                of_sensors = np.concatenate([getattr(p.band, f"{end}_K")[2:] for p in points])
-                data[f"sensor_{end}_K"] = (("sensor", "time"), of_sensors, _attributes(f"sensor_{end}_K"))
+        data |= _band_variables(points, has_sensors=bool(names))
     columns = {_netcdf_name(name): name for name in flown.names if name not in ("time_s", *film)}
     data |= {key: ("time", flown[name], _attributes(name)) for key, name in columns.items()}
-    data |= {name: (per_point, values, _attributes(name)) for name, values in film.items()}
+    data |= {name: (PER_POINT, values, _attributes(name)) for name, values in film.items()}
     coordinates = {
         "time": ("time", flown.time_s, TIME_ATTRIBUTES),
         "control_point": ("control_point", [p.name for p in points], {"long_name": "name of the control point"}),

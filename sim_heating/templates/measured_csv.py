@@ -10,11 +10,12 @@ from __future__ import annotations
 import re
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
@@ -563,36 +564,38 @@ def _time(
 
     raises : InputError where no column is a time, or the one that is called so is not read
     """
-    file, rows = display_path(block.path), len(block.lines)
     if chosen.period_s is not None:
-        values = np.round(chosen.period_s * np.arange(rows), 9)
+        values = np.round(chosen.period_s * np.arange(len(block.lines)), 9)
         return CsvColumn("time", TIME, "s", values, f"--period {chosen.period_s:g} s, from row 1"), None, []
     by_name = {h.name: h for h in heads}
     called = [c for c in columns if c.kind == TIME]
-    unread = [c for c in called if not _is_read(by_name[c.name])]
-    readable = [c for c in called if c not in unread]
-    with_day = [c for c in readable if (clock := by_name[c.name].clock) is not None and not clock.has_time]
-    if len(readable) > len(with_day):
-        readable = [c for c in readable if c not in with_day]
-    readable = [c for c in readable if _moves(by_name[c.name])] or readable
+    readable = [c for c in called if _is_read(by_name[c.name])]
     if readable:
-        head = by_name[readable[0].name]
-        if head.clock is not None:
-            return _clock_time(block, head, readable[0], chosen)
-        return _number_time(block, head, readable[0], chosen)
-    if unread:
-        head = by_name[unread[0].name]
+        column = _best_time(readable, by_name)
+        read = _number_time if by_name[column.name].clock is None else _clock_time
+        return read(block, by_name[column.name], column, chosen)
+    if called:
+        head = by_name[called[0].name]
         i = next((i for i, c in enumerate(head.cells) if c), 0)
         raise InputError(
             f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` is in no layout of a time that is "
             "read; write it as "
             "2024-05-03T10:45:00 or in seconds, or give --period 0.1s between rows"
         )
-    first = next((c for c in columns if c.kind == UNUSED and c.reason.startswith("name and unit")), None)
-    if not block.has_names and first is not None and first is columns[0] and np.all(np.diff(first.values) > 0.0):
+    first = columns[0]
+    says_nothing = first.kind == UNUSED and first.reason.startswith("name and unit")
+    if not block.has_names and says_nothing and np.all(np.diff(first.values) > 0.0):
         assumed = replace(first, kind=TIME, reason="no column is called time; this one increases")
         return _number_time(block, by_name[first.name], assumed, chosen)
+    file = display_path(block.path)
     raise InputError(f"{file}: no column is a time; give {EXAMPLE}, or --period 0.1s between rows")
+
+
+def _best_time(readable: Sequence[CsvColumn], by_name: Mapping[str, _Head]) -> CsvColumn:
+    """Of columns of times the first that is more than a day and not the same in all rows, as far as there is one."""
+    clocks = {c.name: by_name[c.name].clock for c in readable}
+    with_time = [c for c in readable if (clock := clocks[c.name]) is None or clock.has_time] or readable
+    return next((c for c in with_time if _moves(by_name[c.name])), with_time[0])
 
 
 def _moves(head: _Head) -> bool:
@@ -647,7 +650,7 @@ def _number_time(
     block: Block, head: _Head, column: CsvColumn, chosen: LoggerLayout
 ) -> tuple[CsvColumn, float | None, list[str]]:
     """A time in numbers: in the unit that is stated, as stamps of 1970, as days of a spreadsheet, or in s."""
-    values, file = head.numbers.values, display_path(block.path)
+    values = head.numbers.values
     if head.numbers.torn >= 0:
         i = head.numbers.torn
         raise InputError(
@@ -655,25 +658,10 @@ def _number_time(
             "cell, or give --period"
         )
     _require_times(block, head, values)
-    location = f"{file}, column {head.name}"
     stated = head.stated or head.numbers.unit
     if not stated and converted(head.name, "s") is not None and len(head.name) > 1:
         stated = head.name
-    unit = chosen.time_unit
-    if unit is not None:
-        if unit in CLOCKS:
-            cell = next(c for c in head.cells if c)
-            raise InputError(f"--time-unit {unit}: `{cell}` in {location} is no such clock; give s, ms, min or h")
-        _warn_of_other_unit(
-            block.path, replace(column, kind=TIME, unit=stated if converted(stated, "s") else ""), unit, "--time-unit"
-        )
-        time_unit, guess, reason = unit, "", f"{column.reason}; --time-unit"
-    elif stated and converted(stated, "s") is not None:
-        time_unit, guess, reason = stated, "", column.reason
-    elif stated and not re.fullmatch(REMARK, stated.strip()):
-        raise InputError(f"{location}: `{stated}` is not a unit of time that is known; state it, --time-unit s")
-    else:
-        time_unit, guess, reason = _unit_of_stamps(block, head, column)
+    time_unit, guess, reason = _unit_of_time(block, head, column, stated, chosen.time_unit)
     scale = converted(time_unit, "s")
     assert scale is not None
     finite = np.flatnonzero(np.isfinite(values))
@@ -693,6 +681,31 @@ def _number_time(
             f"{block.at(i, head.name)}: `{head.cells[i]}` in {time_unit} {rule}; state its unit, --time-unit ms"
         )
     return replace(column, kind=TIME, values=values, unit=time_unit, reason=reason, guess=guess), None, []
+
+
+def _unit_of_time(
+    block: Block, head: _Head, column: CsvColumn, stated: str, option: str | None
+) -> tuple[str, str, str]:
+    """Unit of a time in numbers, what is assumed by it, and why: that of the option, of the file, or of the size.
+
+    stated : by the file; empty where it states none
+    option : unit of --time-unit; None where it is not given
+    raises : InputError where the option is a clock, or the file states a unit that is not known
+    """
+    location = f"{display_path(block.path)}, column {head.name}"
+    if option in CLOCKS:
+        cell = next(c for c in head.cells if c)
+        raise InputError(f"--time-unit {option}: `{cell}` in {location} is no such clock; give s, ms, min or h")
+    is_time = bool(stated) and converted(stated, "s") is not None
+    if option is not None:
+        declared = replace(column, kind=TIME, unit=stated if is_time else "")
+        _warn_of_other_unit(block.path, declared, option, "--time-unit")
+        return option, "", f"{column.reason}; --time-unit"
+    if is_time:
+        return stated, "", column.reason
+    if stated and not re.fullmatch(REMARK, stated.strip()):
+        raise InputError(f"{location}: `{stated}` is not a unit of time that is known; state it, --time-unit s")
+    return _unit_of_stamps(block, head, column)
 
 
 def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, str, str]:
@@ -767,25 +780,30 @@ def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> Measure
         )
     begins = np.flatnonzero(np.concatenate(([True], steps > 0.0)))
     note = f"{len(repeats)} rows have the time of the row above (--repeated {repeated})"
+    measured = replace(measured, notes=(*measured.notes, note))
     if repeated == "first":
         columns = tuple(replace(c, values=c.values[begins]) for c in measured.columns)
-        return replace(
-            measured, columns=columns, rows=tuple(measured.rows[i] for i in begins), notes=(*measured.notes, note)
-        )
-    ends = np.append(begins[1:], len(t))
-    last = t[begins[-1]] - t[begins[-2]] if len(begins) > 1 else 0.0
-    if last <= 0.0:
+        return replace(measured, columns=columns, rows=tuple(measured.rows[i] for i in begins))
+    if len(begins) < 2 or t[begins[-1]] <= t[begins[-2]]:
         raise InputError(f"{display_path(measured.path)}, column {clock.name}: all times are one; give --period")
-    # rows of the last time keep the spacing of those before them
-    count_before = ends[-2] - begins[-2] if len(begins) > 1 else 1
+    reason = f"{clock.reason}; --repeated spread"
+    even = replace(clock, values=np.round(_spread(t, begins), 9), unit="s", reason=reason)
+    return replace(measured, columns=tuple(even if c is clock else c for c in measured.columns))
+
+
+def _spread(t: FloatArray, begins: NDArray[np.intp]) -> FloatArray:
+    """Times of which several rows have one each, spread evenly until the next time [s].
+
+    begins : first row of each time, two at least; rows of the last time keep the spacing of those before them
+    """
+    ends = np.append(begins[1:], len(t))
+    last = t[begins[-1]] - t[begins[-2]]
+    count_before = ends[-2] - begins[-2]
     spread = t.copy()
     for a, b in zip(begins, ends, strict=True):
         after = t[b] if b < len(t) else t[a] + last * (b - a) / count_before
         spread[a:b] = t[a] + (after - t[a]) * np.arange(b - a) / (b - a)
-    new = replace(clock, values=np.round(spread, 9), unit="s", reason=f"{clock.reason}; --repeated spread")
-    return replace(
-        measured, columns=tuple(new if c is clock else c for c in measured.columns), notes=(*measured.notes, note)
-    )
+    return spread
 
 
 # Units and readings --------------------------------------------------------------------------------------------------
@@ -897,60 +915,75 @@ def _without_lost(block: Block, column: CsvColumn, codes: Sequence[float]) -> Cs
 
     raises : InputError where several different readings are no temperature: the unit is another one
     """
+    column = _without_codes(block, column, codes)
+    if column.kind != TEMPERATURE:
+        return column
+    column = _without_faults(block, _without_impossible(block, column))
+    read = np.unique(column.values[np.isfinite(column.values)])
+    if len(read) == 1 and float(read[0]) in OPEN:
+        raise InputError(
+            f"{display_path(block.path)}, column {column.name}: reads {read[0]:g} throughout, as a converter in "
+            "fault; name the columns that are read, --temperature COLUMN"
+        )
+    return column
+
+
+def _left_out(column: CsvColumn, rows: NDArray[np.intp], reason: str) -> CsvColumn:
+    """A column without the readings of some rows, and why."""
     values = column.values.copy()
+    values[rows] = np.nan
+    return replace(column, values=values, reason=f"{column.reason}; {reason}")
+
+
+def _without_codes(block: Block, column: CsvColumn, codes: Sequence[float]) -> CsvColumn:
+    """A column without the stated codes of a lost sample, and without overloads."""
+    values = column.values
     coded = lost_codes(values, codes)
-    reason = column.reason
-    if coded.any():
-        shown = Counter(f"{v:g}" for v in values[coded])
-        reason += "; lost: " + ", ".join(f"{n} of {code}" for code, n in shown.items())
-        overload = [
-            int(i) for i in np.flatnonzero(coded & ~lost_codes(np.where(np.abs(values) >= 1e30, 0.0, values), codes))
-        ]
-        values[coded] = np.nan
-        if overload:
-            _warn_of_rows(block, column.name, overload, column.values, "is the overload of a recorder: left out")
-    if column.kind == TEMPERATURE:
-        si = replace(column, values=values).si
-        wrong = np.flatnonzero((si < COLDEST_K) | (si > HOTTEST_K))
-        kinds = sorted({float(values[i]) for i in wrong})
-        if len(kinds) > 2 or len(wrong) > 0.5 * max(int(np.count_nonzero(np.isfinite(si))), 1):
-            i = int(wrong[0])
-            raise InputError(
-                f"{block.at(i, column.name)}: {values[i]:g} {column.unit} is {si[i]:g} K and no temperature "
-                "of a wall; state the "
-                f"unit, --temperature-unit, or the readings of a lost sample, --lost={values[i]:g}"
-            )
-        if len(wrong):
-            _warn_of_rows(
-                block,
-                column.name,
-                [int(i) for i in wrong],
-                values,
-                "is no temperature and taken for the code of a lost sample: left out",
-            )
-            reason += "; lost: " + ", ".join(f"{int(np.sum(values[wrong] == k))} of {k:g}" for k in kinds)
-            values[wrong] = np.nan
-        faults = np.flatnonzero(fault_codes(values))
-        if len(faults):
-            _warn_of_rows(
-                block,
-                column.name,
-                [int(i) for i in faults],
-                values,
-                "lies far off its neighbours and is a code of recorders in fault: left out",
-            )
-            reason += f"; {len(faults)} readings of a fault left out"
-            values[faults] = np.nan
-        read = np.unique(values[np.isfinite(values)])
-        if len(read) == 1 and float(read[0]) in OPEN:
-            raise InputError(
-                f"{display_path(block.path)}, column {column.name}: reads {read[0]:g} throughout, as a converter in "
-                "fault; name the columns that are read, --temperature COLUMN"
-            )
-    return replace(column, values=values, reason=reason)
+    if not coded.any():
+        return column
+    overload = np.flatnonzero(coded & ~lost_codes(np.where(np.abs(values) >= 1e30, 0.0, values), codes))
+    _warn_of_rows(block, column.name, overload, values, "is the overload of a recorder: left out")
+    shown = Counter(f"{v:g}" for v in values[coded])
+    return _left_out(column, np.flatnonzero(coded), "lost: " + ", ".join(f"{n} of {code}" for code, n in shown.items()))
 
 
-def _warn_of_rows(block: Block, name: str, rows: Sequence[int], values: FloatArray, rule: str) -> None:
+def _without_impossible(block: Block, column: CsvColumn) -> CsvColumn:
+    """A temperature without one or two readings that no wall can have: codes of a lost sample.
+
+    raises : InputError where there are more: the unit is another one
+    """
+    values, si = column.values, column.si
+    wrong = np.flatnonzero((si < COLDEST_K) | (si > HOTTEST_K))
+    kinds = sorted({float(values[i]) for i in wrong})
+    if len(kinds) > 2 or len(wrong) > 0.5 * max(int(np.count_nonzero(np.isfinite(si))), 1):
+        i = int(wrong[0])
+        raise InputError(
+            f"{block.at(i, column.name)}: {values[i]:g} {column.unit} is {si[i]:g} K and no temperature "
+            "of a wall; state the "
+            f"unit, --temperature-unit, or the readings of a lost sample, --lost={values[i]:g}"
+        )
+    if not len(wrong):
+        return column
+    rule = "is no temperature and taken for the code of a lost sample: left out"
+    _warn_of_rows(block, column.name, wrong, values, rule)
+    counts = ", ".join(f"{int(np.sum(values[wrong] == k))} of {k:g}" for k in kinds)
+    return _left_out(column, wrong, f"lost: {counts}")
+
+
+def _without_faults(block: Block, column: CsvColumn) -> CsvColumn:
+    """A temperature without readings that are codes of recorders in fault."""
+    faults = np.flatnonzero(fault_codes(column.values))
+    if not len(faults):
+        return column
+    rule = "lies far off its neighbours and is a code of recorders in fault: left out"
+    _warn_of_rows(block, column.name, faults, column.values, rule)
+    return _left_out(column, faults, f"{len(faults)} readings of a fault left out")
+
+
+def _warn_of_rows(block: Block, name: str, rows: NDArray[np.intp], values: FloatArray, rule: str) -> None:
+    """Warn of the readings of some rows, if there are any."""
+    if not len(rows):
+        return
     where = ", ".join(str(block.lines[i]) for i in rows[:NAMED_ROWS])
     rest = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
     shown = ", ".join(dict.fromkeys(f"{values[i]:g}" for i in rows))
@@ -1022,20 +1055,25 @@ def _stated(
         for c in columns
         if c.kind in (TEMPERATURE, FLUX) and c.unit
     ]
-    is_clock_time = "counted from" in clock.reason
-    order = next((o for o, order_text in ORDERS.items() if f"dates {order_text}" in clock.reason), None)
+    states_unit = "counted from" in clock.reason or clock.name in has_own
     return chosen.model_copy(
         update={
             "separator": block.separator or None,
             "decimal": signs.decimal if block.separator else None,
-            "dates": chosen.dates or (order if order != "year-first" else None),
+            "dates": chosen.dates or _order_of_dates(clock),
             "time": clock.name if chosen.period_s is None else None,
-            "time_unit": chosen.time_unit or (None if is_clock_time or clock.name in has_own else clock.unit),
+            "time_unit": chosen.time_unit or (None if states_unit else clock.unit),
             "column": used,
             "temperature_unit": None,
             "flux_unit": None,
         }
     )
+
+
+def _order_of_dates(clock: CsvColumn) -> str | None:
+    """Order of the dates of a clock; None where there are none, or the year stands first, which says it itself."""
+    order = next((o for o, order_text in ORDERS.items() if f"dates {order_text}" in clock.reason), None)
+    return None if order == "year-first" else order
 
 
 def lost_values(text: str) -> tuple[float, ...]:

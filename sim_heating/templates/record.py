@@ -112,6 +112,11 @@ class Heat:
     uncertainty: FlightUncertainty | None = None
     source: Source | None = None
 
+    @property
+    def is_of_unknown_lamp(self) -> bool:
+        """Whether the flux is that of a lamp, to be estimated as a heating ratio."""
+        return LAMP_ENTHALPY_J_KG in [value for _, value, _ in self.constants]
+
 
 @dataclass(frozen=True)
 class RecordInput:
@@ -205,41 +210,13 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
     absorptance : absorbed part of the flux [-]; None where it is the absorbed flux already
     raises      : InputError, one line, where it is none of these
     """
-    times = measured.of_kind(TIME)[0].si
-    factor = 1.0 if absorptance is None else absorptance
-    absorbed = "absorbed" if absorptance is None else f"incident, {absorptance:g} of it absorbed"
     columns = {c.name: c for c in measured.columns}
     if lamp == UNKNOWN:
-        return _unknown_flux(times, lit_s)
+        return _unknown_flux(measured.of_kind(TIME)[0].si, lit_s)
     if lamp in columns or Path(lamp).is_file():
         if lit_s is not None:
             raise InputError("--lit: is for a constant --lamp; a column or a file states when the lamp was lit")
-        flux_column = columns.get(lamp)
-        where = f"column {lamp}"
-        if flux_column is None:
-            file = read_measured_csv(Path(lamp), kinds=(FLUX,))
-            fluxes = file.of_kind(FLUX)
-            if len(fluxes) != 1:
-                names = ", ".join(c.name for c in file.columns)
-                raise InputError(f"--lamp {lamp}: has {len(fluxes)} columns of a heat flux (of {names}); it needs one")
-            flux_column, clock = fluxes[0], file.of_kind(TIME)[0].si + _later_s(file, measured)
-            where = f"file {lamp}"
-            if clock[0] > times[0] or clock[-1] < times[-1]:
-                raise InputError(
-                    f"--lamp {lamp}: covers {clock[0]:g} to {clock[-1]:g} s, and the readings {times[0]:g} to "
-                    f"{times[-1]:g} s; give the flux at all of these times, on the same clock"
-                )
-        else:
-            file, clock = measured, times
-        flux = flux_column.si
-        if flux_column.guess:
-            warnings.warn(f"--lamp {lamp}, column {flux_column.name}: {flux_column.guess}", stacklevel=2)
-        if np.any(np.isnan(flux)):
-            raise InputError(f"--lamp {lamp}: {np.count_nonzero(np.isnan(flux))} cells hold no number; fill them")
-        note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {absorbed}"
-        of_file = {"time_s": file.of_kind(TIME)[0].name, "q_add_W_m2": flux_column.name}
-        source = Source(file.path, file.rows, of_file)
-        return Heat({"time_s": clock, "q_add_W_m2": factor * flux}, (), "none", note, source=source)
+        return _recorded_flux(measured, lamp, columns.get(lamp), absorptance)
     hint = suggestion(lamp, columns, otherwise="") if re.match(r"[A-Za-z]", lamp) else ""
     if hint or re.match(r"[A-Za-z./]", lamp):
         listed = ", ".join(c.name for c in measured.columns if c.kind != TIME)
@@ -249,7 +226,55 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
     if re.fullmatch(rf"\s*{NUMBER}\s*", lamp):
         raise InputError(f"--lamp {lamp}: has no unit; write {FLUX_EXAMPLE}")
     lamp_W_m2 = quantity(lamp, "W/m2", "--lamp", f"--lamp {FLUX_EXAMPLE}")
-    flux_W_m2 = float(f"{factor * lamp_W_m2:.12g}")
+    return _constant_flux(measured.of_kind(TIME)[0].si, lamp_W_m2, lit_s, absorptance)
+
+
+def _recorded_flux(measured: MeasuredCsv, lamp: str, flux_column: CsvColumn | None, absorptance: float | None) -> Heat:
+    """The flux of a column of the readings, or, where that is None, of the file that `lamp` names.
+
+    raises : InputError, one line, where cells hold no number, or the file is not one of a flux at all these times
+    """
+    file, clock, where = measured, measured.of_kind(TIME)[0].si, f"column {lamp}"
+    if flux_column is None:
+        where = f"file {lamp}"
+        file, clock, flux_column = _flux_file(measured, lamp)
+    flux = flux_column.si
+    if flux_column.guess:
+        warnings.warn(f"--lamp {lamp}, column {flux_column.name}: {flux_column.guess}", stacklevel=3)
+    if np.any(np.isnan(flux)):
+        raise InputError(f"--lamp {lamp}: {np.count_nonzero(np.isnan(flux))} cells hold no number; fill them")
+    absorbed = "absorbed" if absorptance is None else f"incident, {absorptance:g} of it absorbed"
+    note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {absorbed}"
+    source = Source(file.path, file.rows, {"time_s": file.of_kind(TIME)[0].name, "q_add_W_m2": flux_column.name})
+    factor = 1.0 if absorptance is None else absorptance
+    return Heat({"time_s": clock, "q_add_W_m2": factor * flux}, (), "none", note, source=source)
+
+
+def _flux_file(measured: MeasuredCsv, lamp: str) -> tuple[MeasuredCsv, FloatArray, CsvColumn]:
+    """A file of the flux of a lamp: its content, its times on the clock of the readings [s], and the column.
+
+    raises : InputError, one line, where it has not one flux, or not all times of the readings
+    """
+    times = measured.of_kind(TIME)[0].si
+    file = read_measured_csv(Path(lamp), kinds=(FLUX,))
+    fluxes = file.of_kind(FLUX)
+    if len(fluxes) != 1:
+        names = ", ".join(c.name for c in file.columns)
+        raise InputError(f"--lamp {lamp}: has {len(fluxes)} columns of a heat flux (of {names}); it needs one")
+    clock = file.of_kind(TIME)[0].si + _later_s(file, measured)
+    if clock[0] > times[0] or clock[-1] < times[-1]:
+        raise InputError(
+            f"--lamp {lamp}: covers {clock[0]:g} to {clock[-1]:g} s, and the readings {times[0]:g} to "
+            f"{times[-1]:g} s; give the flux at all of these times, on the same clock"
+        )
+    return file, clock, fluxes[0]
+
+
+def _constant_flux(
+    times: FloatArray, lamp_W_m2: float, lit_s: tuple[float, float] | None, absorptance: float | None
+) -> Heat:
+    """A constant flux while the lamp is lit."""
+    flux_W_m2 = float(f"{(1.0 if absorptance is None else absorptance) * lamp_W_m2:.12g}")
     absorbed = f"{flux_W_m2:g} W/m2 absorbed{'' if absorptance is None else f', {absorptance:g} of {lamp_W_m2:g} W/m2'}"
     if lit_s is None:
         meaning = "flux that the surface absorbs, from the first row to the last"
@@ -372,6 +397,29 @@ def flown_heat(
 # The record ----------------------------------------------------------------------------------------------------------
 
 
+def _surroundings(article: RecordInput, initial_K: float) -> tuple[float, str]:
+    """Temperature of what a wall radiates to [K], and the note on it: as stated, the sky, or the wall at the start."""
+    if article.surroundings_K is not None:
+        return article.surroundings_K, f"surroundings at {article.surroundings_K:g} K (--surroundings)"
+    if article.heat.reference != "none" and not article.heat.is_of_unknown_lamp:
+        return 0.0, "surroundings at 0 K, the sky of a flight (--surroundings)"
+    return initial_K, f"surroundings at {initial_K:g} K, as the wall at the start (--surroundings)"
+
+
+def _constants(article: RecordInput) -> tuple[list[tuple[str, float, str]], list[str]]:
+    """Constant conditions with the air pressure that porous insulation needs, and a note where it is assumed."""
+    constants = list(article.heat.constants)
+    meaning = "air pressure in the room, on which porous insulation depends"
+    if article.pressure_Pa is not None:
+        stated = [c for c in constants if c[0] != "p_surface_Pa"]
+        return [*stated, ("p_surface_Pa", article.pressure_Pa, meaning)], []
+    porous = any(isinstance(layer.material.conductivity_W_mK, PressureTable) for layer in article.layers)
+    if not porous or "p_surface_Pa" in {*article.heat.columns, *(name for name, _, _ in constants)}:
+        return constants, []
+    pressure = float(us76(0.0)[1])
+    return [*constants, ("p_surface_Pa", pressure, meaning)], [f"air pressure {pressure:g} Pa, sea level (--pressure)"]
+
+
 def write_new_record(
     out: str | os.PathLike[str], measured: MeasuredCsv, article: RecordInput
 ) -> tuple[Record, list[str]]:
@@ -384,30 +432,13 @@ def write_new_record(
     times = measured.of_kind(TIME)[0].si
     initial_K, notes = _initial(article, times, sensors)
     notes += _ratio_notes(article)
-    surroundings_K = article.surroundings_K
-    lamp = LAMP_ENTHALPY_J_KG in [value for _, value, _ in article.heat.constants]
-    if surroundings_K is not None:
-        notes.append(f"surroundings at {surroundings_K:g} K (--surroundings)")
-    elif article.heat.reference != "none" and not lamp:
-        surroundings_K = 0.0
-        notes.append("surroundings at 0 K, the sky of a flight (--surroundings)")
-    elif surroundings_K is None:
-        surroundings_K = initial_K
-        notes.append(f"surroundings at {surroundings_K:g} K, as the wall at the start (--surroundings)")
+    surroundings_K, of_surroundings = _surroundings(article, initial_K)
+    notes.append(of_surroundings)
     if article.back is None:
         notes.append("back face adiabatic (--back-film, --back-emissivity)")
     materials, of_materials = _materials(article)
-    notes += of_materials
-    constants = list(article.heat.constants)
-    porous = any(isinstance(layer.material.conductivity_W_mK, PressureTable) for layer in article.layers)
-    if article.pressure_Pa is not None:
-        constants = [c for c in constants if c[0] != "p_surface_Pa"]
-    stated = {*article.heat.columns, *(name for name, _, _ in constants)}
-    if article.pressure_Pa is not None or (porous and "p_surface_Pa" not in stated):
-        pressure = article.pressure_Pa if article.pressure_Pa is not None else float(us76(0.0)[1])
-        constants.append(("p_surface_Pa", pressure, "air pressure in the room, on which porous insulation depends"))
-        if article.pressure_Pa is None:
-            notes.append(f"air pressure {pressure:g} Pa, sea level (--pressure)")
+    constants, of_pressure = _constants(article)
+    notes += [*of_materials, *of_pressure]
     hold = times[0] + np.array([0.6, 0.7]) * (times[-1] - times[0])
     text = render_toml(
         "record.toml.j2",
@@ -424,7 +455,7 @@ def write_new_record(
         layers=article.layers,
         materials=materials,
         reference=article.heat.reference,
-        lamp=lamp,
+        lamp=article.heat.is_of_unknown_lamp,
         unit_flux=f"{UNIT_FLUX_W_M2 / 1e3:g}",
         lengths=_of_reference(article),
         uncertainty=None
@@ -681,16 +712,15 @@ def like_record(
             f"{', '.join(s.column for s in model.sensors)}; write --depth {absent[0]}=0.4mm"
         )
     sensors, notes = [], []
-    for column in columns:
-        depth = stated.get(column.name, by_name[column.name].depth_m if column.name in by_name else math.nan)
-        sensors.append(Sensor(name=column.name, column=_column_name(column.name), depth_m=depth, noise_sigma_K=noise_K))
-        other = by_name[column.name].noise_sigma_K if column.name in by_name else None
-        notes.append(
-            f"{column.name} at {depth * 1e3:g} mm" + ("" if column.name in stated else f", as in {model.name}")
-        )
+    for name in (c.name for c in columns):
+        other = by_name.get(name)
+        depth = stated[name] if name in stated else by_name[name].depth_m
+        sensors.append(Sensor(name=name, column=_column_name(name), depth_m=depth, noise_sigma_K=noise_K))
+        notes.append(f"{name} at {depth * 1e3:g} mm" + ("" if name in stated else f", as in {model.name}"))
         if noise_K is None:
-            of_other = "" if other is None else f"; the {other:g} K of {model.name} are of its recorder"
-            notes.append(f"noise of {column.name} estimated (--noise 0.5K states it){of_other}")
+            noise = None if other is None else other.noise_sigma_K
+            of_other = "" if noise is None else f"; the {noise:g} K of {model.name} are of its recorder"
+            notes.append(f"noise of {name} estimated (--noise 0.5K states it){of_other}")
     thermocouples = declared.thermocouples.model_copy(update={"sensor": sensors})
     update = {
         "thermocouples": thermocouples,

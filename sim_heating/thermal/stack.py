@@ -217,12 +217,7 @@ class Material(Declared):
         if self.kind == "gas":
             return [(location, text) for location, text in remarks if location[0] == "emissivity"]
         if not self.apparent:
-            heats = [(i, value) for i, (T_K, value) in enumerate(self.specific_heat_J_kgK) if T_K >= COLDEST_K]
-            far = [(("specific_heat_J_kgK", i, 1), usual_remark("specific_heat_from_100_K", v)) for i, v in heats]
-            remarks += [(location, text) for location, text in far if text is not None][:1] or [
-                (("specific_heat_J_kgK", heats[k][0], 1), f"{text}; a peak of latent heat declares apparent = true")
-                for k, text in nodes_that_stand_out([value for _, value in heats])
-            ]
+            remarks += self._specific_heat_remarks()
         _, T_K, k = self.conductivity_grid()
         warm = np.flatnonzero(T_K >= COLDEST_K)
         remarks += [
@@ -235,17 +230,29 @@ class Material(Declared):
             text = f"{largest:g} W/(m K) is unusual at {self.density_kg_m3:g} kg/m3"
             remarks.append((("conductivity_W_mK",), f"{text} (foams and felts have below {FOAM_CONDUCTS_W_MK:g})"))
         remarks += self._density_remarks(T_K, k) + self._axis_remarks()
-        if self.emissivity is not None:
-            remarks += [
-                (("emissivity", i, 1), f"{value:g} is unusual where k is {np.max(k):.3g} W/(m K), of no bright metal")
-                for i, (_, value) in enumerate(self.emissivity)
-                if value < NOT_METAL_EMITS and np.max(k) < METAL_W_MK
-            ][:1]
-            remarks += [
-                (("emissivity", i, 1), f"{text}; check it")
-                for i, text in nodes_that_stand_out([value for _, value in self.emissivity])
-            ]
-        return remarks
+        return remarks + self._emissivity_remarks(largest)
+
+    def _specific_heat_remarks(self) -> list[tuple[Location, str]]:
+        """The first specific heat [J/(kg K)] that few materials have, or the nodes that stand out of their table."""
+        heats = [(i, value) for i, (T_K, value) in enumerate(self.specific_heat_J_kgK) if T_K >= COLDEST_K]
+        far = [(i, text) for i, v in heats if (text := usual_remark("specific_heat_from_100_K", v)) is not None]
+        lines = far[:1] or [
+            (heats[k][0], f"{text}; a peak of latent heat declares apparent = true")
+            for k, text in nodes_that_stand_out([value for _, value in heats])
+        ]
+        return [(("specific_heat_J_kgK", i, 1), text) for i, text in lines]
+
+    def _emissivity_remarks(self, largest_W_mK: float) -> list[tuple[Location, str]]:
+        """The first emissivity [-] of a bright metal where the conductivity is none of a metal, and nodes that stand
+        out of their table."""
+        if self.emissivity is None:
+            return []
+        values = [value for _, value in self.emissivity]
+        bright = [i for i, value in enumerate(values) if value < NOT_METAL_EMITS and largest_W_mK < METAL_W_MK]
+        rule = f"is unusual where k is {largest_W_mK:.3g} W/(m K), of no bright metal"
+        lines = [(i, f"{values[i]:g} {rule}") for i in bright[:1]]
+        lines += [(i, f"{text}; check it") for i, text in nodes_that_stand_out(values)]
+        return [(("emissivity", i, 1), text) for i, text in lines]
 
     def _density_remarks(self, T_K: FloatArray, k: FloatArray) -> list[tuple[Location, str]]:
         """Heat capacity and conductivity that few solids of this density have."""

@@ -88,19 +88,25 @@ def export_aero(aero: Aero, out: str | os.PathLike[str]) -> None:
     write_dave_ml(out, aero_model(aero))
 
 
-def import_aero(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
-    """Write longitudinal.csv, and elevon.csv and bodyflap.csv where the model has the surface, from a model.
+def _outputs_of_vehicle(model: DaveModel, where: str) -> dict[str, str]:
+    """Coefficient of a vehicle -> the output of a model that is it.
 
-    folder  : to write them into, the folder `aero` of a vehicle
-    returns : the files
-    raises  : InputError where an output is missing, an input is unknown, or check data are missed
+    raises : InputError where there is none
     """
-    model, where = read_dave_ml(path), display_path(path)
-    raise_problems([f"{where}: {p}" for p in model.check_problems()])
-    outputs = {c: _named(model, c, (c,), model.outputs) for c in COEFFICIENTS}
-    lacking = [c for c, i in outputs.items() if i is None]
-    if lacking:
-        raise InputError(f"{where}: no output named `{lacking[0]}`; CN, CA and Cm are read")
+    outputs = {}
+    for c in COEFFICIENTS:
+        named = _named(model, c, (c,), model.outputs)
+        if named is None:
+            raise InputError(f"{where}: no output named `{c}`; CN, CA and Cm are read")
+        outputs[c] = named
+    return outputs
+
+
+def _inputs_of_vehicle(model: DaveModel, where: str) -> dict[str, str | None]:
+    """Variable of the tables of a vehicle -> the input of a model that is it; None where the model has none.
+
+    raises : InputError where an input is no such variable, or in another unit
+    """
     inputs = {v: _named(model, v, (v, INPUTS[v][0]), model.inputs) for v in INPUTS}
     unknown = [i for i in model.inputs if i not in inputs.values()]
     if unknown:
@@ -110,6 +116,20 @@ def import_aero(path: str | os.PathLike[str], folder: str | os.PathLike[str]) ->
         units = "" if i is None else model.variables[i].attributes.get("units", "")
         if i is not None and units != INPUTS[v][1]:
             raise InputError(f"{where}: variableDef `{i}` is in `{units}`; `{INPUTS[v][1]}` is read")
+    return inputs
+
+
+def import_aero(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
+    """Write longitudinal.csv, and elevon.csv and bodyflap.csv where the model has the surface, from a model.
+
+    folder  : to write them into, the folder `aero` of a vehicle
+    returns : the files
+    raises  : InputError where an output is missing, an input is unknown, or check data are missed
+    """
+    model, where = read_dave_ml(path), display_path(path)
+    raise_problems([f"{where}: {p}" for p in model.check_problems()])
+    outputs = _outputs_of_vehicle(model, where)
+    inputs = _inputs_of_vehicle(model, where)
     nodes = {v: model.nodes_of(i) for v, i in inputs.items()}
 
     def values(mach: FloatArray, alpha: FloatArray, surface: str | None, at: FloatArray) -> dict[str, FloatArray]:
@@ -117,7 +137,7 @@ def import_aero(path: str | os.PathLike[str], folder: str | os.PathLike[str]) ->
         x = {"mach": mach, "alpha_deg": alpha, "elevon_deg": zero, "bodyflap_deg": zero}
         x |= {} if surface is None else {surface: at}
         evaluated = model.evaluate({i: x[v] for v, i in inputs.items() if i is not None})
-        return {c: np.broadcast_to(evaluated[i], mach.shape) for c, i in outputs.items() if i is not None}
+        return {c: np.broadcast_to(evaluated[i], mach.shape) for c, i in outputs.items()}
 
     header = {"source": f"{Path(path).name}: {model.title}"}
     files = []

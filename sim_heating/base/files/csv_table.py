@@ -167,11 +167,8 @@ def _large_table(
     above, head, body = _head(content)
     names = [name.strip() for name in head.split(",")]
     rows = body.count("\n") + (not body.endswith("\n"))
-    if '"' in content or "\r" in body or body.count(",") != rows * (len(names) - 1):
-        return None
-    if not all(names) or _name_problems("", names, required, optional, lost):
-        return None
-    if not is_plain(body) or re.search(r"[a-df-zA-DF-Z#]", body):  # an e is that of an exponent
+    is_named = all(names) and not _name_problems("", names, required, optional, lost)
+    if '"' in content or not is_named or not _has_plain_numbers(body, rows * (len(names) - 1)):
         return None
     if "," in body and lost:
         body = re.sub(r",(?=[ ]*(?:,|\n|$))", ",nan", re.sub(r"(?m)^(?=[ ]*,)", "nan", body))
@@ -187,6 +184,13 @@ def _large_table(
     first = above.count("\n") + 2
     header = dict(header_entry(line) for line in above.splitlines() if ":" in line)
     return CsvTable(columns, header, path, np.arange(first, first + rows, dtype=np.int64))
+
+
+def _has_plain_numbers(body: str, commas: int) -> bool:
+    """Whether rows of a table have no words, no comments, and as many commas in all as their columns need."""
+    if "\r" in body or body.count(",") != commas or not is_plain(body):
+        return False
+    return re.search(r"[a-df-zA-DF-Z#]", body) is None  # an e is that of an exponent
 
 
 def _head(content: str) -> tuple[str, str, str]:

@@ -12,7 +12,7 @@ import logging
 import math
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -329,8 +329,7 @@ def write_own_files(directory: str | os.PathLike[str], command: str, texts: Mapp
     with exclusive(directory) as target:
         listing = _read_marker(target)
         listed = {} if listing is None else listing[1]
-        kept = {name: text for name, text in texts.items() if has_digest(target / name, text_digest(text))}
-        new = {name: text for name, text in texts.items() if name not in kept}
+        new = {name: text for name, text in texts.items() if not has_digest(target / name, text_digest(text))}
         foreign = [n for n in new if os.path.lexists(target / n) and not has_digest(target / n, listed.get(n, ""))]
         if foreign and (not replaces_others() or any((target / name).is_dir() for name in foreign)):
             raise InputError(
@@ -362,11 +361,22 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
     there = [name for name in sorted({*files, *names} - {MARKER}) if os.path.lexists(target / name)]
     for name in {*files, *names}:
         require_plain(target, name)
+    marker = [] if listing is None else [MARKER]
     if replaces_others() and not any((target / name).is_dir() for name in there):
         # a listed result that was changed, and is not written again, is a person's file
         gone = [n for n in there if n in names or has_digest(target / n, files[n])]
-        marker = [] if listing is None else [MARKER]
         return {name: file_digest(target / name) for name in (*marker, *gone)}
+    _require_own(target, there, files)
+    return {name: file_digest(target / name) for name in marker} | {name: files[name] for name in there}
+
+
+def _require_own(target: Path, there: Sequence[str], files: Mapping[str, str]) -> None:
+    """Refuse to replace files that are not earlier results as they were written.
+
+    there  : names of the files in the directory that would go
+    files  : names and digests of the earlier results
+    raises : InputError with those of others, or those that were changed
+    """
     foreign = [name for name in there if name not in files]
     if foreign:
         raise InputError(
@@ -379,8 +389,6 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
             f"{display_path(target)}: {', '.join(changed)} was changed after sim-heating wrote it and is not replaced; "
             f"move it away or choose another directory{OR_FORCE}"
         )
-    replaced = {} if listing is None else {MARKER: file_digest(target / MARKER)}
-    return replaced | {name: files[name] for name in there}
 
 
 def _others(target: Path, command: str, replaced: Iterable[str]) -> list[str]:

@@ -10,6 +10,7 @@ A lock file, `.sim_heating.lock`, admits one writer at a time. The system frees 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -83,6 +84,19 @@ def require_exclusive(directory: str | os.PathLike[str]) -> None:
         pass
 
 
+def _take(lock: BaseFileLock, wait_s: float, waiting: Callable[[], None] | None) -> None:
+    """Acquire a lock within a time [s]; where it is not free at once, tell so first."""
+    from filelock import Timeout
+
+    if waiting is not None:
+        try:
+            lock.acquire(timeout=0)
+            return
+        except Timeout:
+            waiting()
+    lock.acquire(timeout=wait_s)
+
+
 def _acquire(
     target: Path, name: str, wait_s: float, waiting: Callable[[], None] | None
 ) -> tuple[BaseFileLock, list[Path]]:
@@ -102,18 +116,10 @@ def _acquire(
                 if target.exists():
                     raise
                 continue
-            try:
-                try:
-                    lock.acquire(timeout=0 if waiting else wait_s)
-                except Timeout:
-                    if waiting is None:
-                        raise
-                    waiting()
-                    lock.acquire(timeout=wait_s)
-            except FileNotFoundError:
-                continue
-            done = True
-            return lock, created
+            with contextlib.suppress(FileNotFoundError):
+                _take(lock, wait_s, waiting)
+                done = True
+                return lock, created
     except Timeout:
         raise InputError(
             f"{name}: another sim-heating process is writing there; wait until it ends, or choose another directory"

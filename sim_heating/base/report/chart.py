@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -129,32 +130,42 @@ class Chart:
         for left_over in grid.ravel()[len(self.panels) :]:
             left_over.remove()
         for a, panel in zip(axes, self.panels, strict=True):
-            for c in map(_drawable, panel.curves):
-                style: dict[str, Any] = {"linewidth": 1.2}
-                if c.points:
-                    style = {"marker": ".", "linestyle": "none", "markersize": 2.5}
-                if c.dash:
-                    style["dashes"] = list(c.dash)
-                if c.sigma is not None:
-                    a.fill_between(c.time_s, c.values - 2 * c.sigma, c.values + 2 * c.sigma, color=c.color, alpha=0.2)
-                a.plot(c.time_s, c.values, color=c.color, label=legend_label(c.label), rasterized=c.points, **style)
-            for span in self.spans:
-                a.axvspan(span.start_s, span.end_s, color=span.color, linewidth=0)
-            if panel.zero:
-                a.axhline(0.0, color="0.3", linewidth=0.8)
-            if panel.limits is not None:
-                a.set_ylim(*panel.limits)
-                for c in panel.curves:
-                    mark_beyond(a, c.time_s, c.values, c.color)
-            a.set_ylabel(_lines(panel.label) if panel.height < 0.8 else panel.label)
-            if any(c.label for c in panel.curves):
-                legend_above(a)
+            _draw_panel(a, panel, self.spans)
         for a in axes[-columns:]:
             a.set_xlabel(self.time)
             a.tick_params(labelbottom=True)
         if self.view is not None:
             axes[-1].set_xlim(*self.view)
         return save_figure(figure, None, self.title, axes)
+
+
+def _draw_panel(axes: Axes, panel: Panel, spans: Sequence[Span]) -> None:
+    """Draw the curves of a panel, its spans, its line of zero and its limits."""
+    for curve in panel.curves:
+        _draw_curve(axes, _drawable(curve))
+    for span in spans:
+        axes.axvspan(span.start_s, span.end_s, color=span.color, linewidth=0)
+    if panel.zero:
+        axes.axhline(0.0, color="0.3", linewidth=0.8)
+    if panel.limits is not None:
+        axes.set_ylim(*panel.limits)
+        for c in panel.curves:
+            mark_beyond(axes, c.time_s, c.values, c.color)
+    axes.set_ylabel(_lines(panel.label) if panel.height < 0.8 else panel.label)
+    if any(c.label for c in panel.curves):
+        legend_above(axes)
+
+
+def _draw_curve(axes: Axes, c: Curve) -> None:
+    """Draw a curve, and its band of two sigma where it has one."""
+    style: dict[str, Any] = {"linewidth": 1.2}
+    if c.points:
+        style = {"marker": ".", "linestyle": "none", "markersize": 2.5}
+    if c.dash:
+        style["dashes"] = list(c.dash)
+    if c.sigma is not None:
+        axes.fill_between(c.time_s, c.values - 2 * c.sigma, c.values + 2 * c.sigma, color=c.color, alpha=0.2)
+    axes.plot(c.time_s, c.values, color=c.color, label=legend_label(c.label), rasterized=c.points, **style)
 
 
 def _lines(label: str) -> str:

@@ -170,8 +170,9 @@ def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) ->
     points : conditions of each control point;  cases : data sets; those of another kind than a point are not compared
     """
     total = sum(float(np.sum(p.duration_s)) for p in points)
-    inside, seconds_by_case, error = 0.0, dict.fromkeys((c.name for c in cases), 0.0), None
+    inside, seconds_by_case = 0.0, dict.fromkeys((c.name for c in cases), 0.0)
     outside: dict[str, list[float]] = {}
+    errors: list[float] = []
     computed: Distances = {}
     for samples in points:
         bands = [(case, band) for case in cases if case.kind == samples.kind for band in case.bands]
@@ -182,25 +183,27 @@ def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) ->
         nearest = np.argmin(cost, axis=0)
         is_inside = cost[nearest, np.arange(cost.shape[1])] == 0.0
         inside += float(np.sum(samples.duration_s[is_inside]))
-        for k, (case, band) in enumerate(bands):
-            if not np.any(cost[k] == 0.0):
-                continue
-            error_share = band.rmse_K / case.rise_K if case.rise_K > 0.0 else 1.0
-            error = error_share if error is None else max(error, error_share)
-        for case in {id(c): c for c, _ in bands}.values():
-            covered = np.any(np.array([cost[k] == 0.0 for k, (c, _) in enumerate(bands) if c is case]), axis=0)
+        covering = [(case, band, cost[k] == 0.0) for k, (case, band) in enumerate(bands) if np.any(cost[k] == 0.0)]
+        errors += [band.rmse_K / case.rise_K if case.rise_K > 0.0 else 1.0 for case, band, _ in covering]
+        for case in {id(c): c for c, _, _ in covering}.values():
+            covered = np.any(np.array([where for c, _, where in covering if c is case]), axis=0)
             seconds_by_case[case.name] += float(np.sum(samples.duration_s[covered]))
         for name in samples.values:
             d = np.array([distances[name] for distances in beyond])[nearest, np.arange(cost.shape[1])]
-            if np.any(d != 0.0):
-                far = outside.setdefault(name, [0.0, 0.0, 0.0])
-                far[0], far[1] = max(far[0], float(-d.min())), max(far[1], float(d.max()))
-                far[2] += float(np.sum(samples.duration_s[d != 0.0]))
+            _note_distance(outside, name, d, samples.duration_s)
     if total <= 0.0:
         return Extrapolation(0.0, {}, {}, None)
     return Extrapolation(
         min(inside / total, 1.0) if inside < total * (1.0 - 1e-12) else 1.0,
         {n: (max(low, 0.0), max(high, 0.0), t / total) for n, (low, high, t) in outside.items()},
         {n: t / total for n, t in seconds_by_case.items() if t > 0.0},
-        error,
+        max(errors, default=None),
     )
+
+
+def _note_distance(outside: dict[str, list[float]], name: str, beyond: FloatArray, duration_s: FloatArray) -> None:
+    """Widen how far a variable lies below and above all data sets, and add the time in which it does [s]."""
+    if np.any(beyond != 0.0):
+        far = outside.setdefault(name, [0.0, 0.0, 0.0])
+        far[0], far[1] = max(far[0], float(-beyond.min())), max(far[1], float(beyond.max()))
+        far[2] += float(np.sum(duration_s[beyond != 0.0]))

@@ -502,6 +502,20 @@ def write_dave_ml(path: str | os.PathLike[str], model: DaveModel) -> None:
     write_text_atomic(path, dave_ml_text(model))
 
 
+def _write_breakpoints(
+    root: ET.Element, tables: Mapping[int, GriddedTable | UngriddedTable], names: Mapping[int, str]
+) -> dict[bytes, str]:
+    """Define the breakpoints of gridded tables, equal ones once; their names by their bytes."""
+    axes: dict[bytes, str] = {}
+    gridded = ((key, table) for key, table in tables.items() if isinstance(table, GriddedTable))
+    for key, i, axis in ((key, i, axis) for key, table in gridded for i, axis in enumerate(table.axes, 1)):
+        if axis.tobytes() not in axes:
+            axes[axis.tobytes()] = name = f"BP_{len(axes) + 1}_{names[key]}_{i}"
+            e = ET.SubElement(root, "breakpointDef", name=name, bpID=name)
+            ET.SubElement(e, "bpVals").text = _listed(axis)
+    return axes
+
+
 def dave_ml_text(model: DaveModel) -> str:
     """A model as a document of DAVE-ML 2.0."""
     root = ET.Element(ROOT, xmlns=SPACE)
@@ -514,14 +528,7 @@ def dave_ml_text(model: DaveModel) -> str:
         _write_variable(root, v)
     tables = {id(f.table): f.table for f in model.functions}
     names = _table_names(tables)
-    axes: dict[bytes, str] = {}
-    for key, table in tables.items():
-        if isinstance(table, GriddedTable):
-            for i, axis in enumerate(table.axes):
-                if axis.tobytes() not in axes:
-                    axes[axis.tobytes()] = name = f"BP_{len(axes) + 1}_{names[key]}_{i + 1}"
-                    e = ET.SubElement(root, "breakpointDef", name=name, bpID=name)
-                    ET.SubElement(e, "bpVals").text = _listed(axis)
+    axes = _write_breakpoints(root, tables, names)
     for key, table in tables.items():
         _write_table(root, table, names[key], axes)
     for f in model.functions:

@@ -98,6 +98,14 @@ def read_math(element: ET.Element) -> Expression:
         return _piecewise(element)
     if name != "apply" or not len(element):
         raise InputError(f"<{name}> of MathML is not known here")
+    return _application(element)
+
+
+def _application(element: ET.Element) -> Expression:
+    """The operator of an `apply` with its arguments.
+
+    raises : InputError for an operator that is not known, or a wrong number of arguments
+    """
     head = element[0]
     if len(element) == 1 and local_name(head) == "piecewise":  # which is no operator, and many files write it as one
         return _piecewise(head)

@@ -22,6 +22,7 @@ from sim_heating.live.filtering.estimates import SensorEstimate
 from sim_heating.live.filtering.parameters import is_of_march
 from sim_heating.live.filtering.points import LivePoint
 from sim_heating.live.filtering.timeline import Word
+from sim_heating.thermal.stack import Sensor
 
 
 @dataclass
@@ -42,6 +43,13 @@ class Recorders(NamedTuple):
     largest_count: FloatArray
 
 
+def _recorder(sensor: Sensor) -> tuple[float, float, float]:
+    """Foot of the range and step of a sensor's recorder [K], and its largest count [-]; nan where it has none."""
+    if sensor.bits is None or sensor.range_K is None:
+        return np.nan, np.nan, np.nan
+    return sensor.range_K[0], sensor.lsb_K, 2.0**sensor.bits - 1.0
+
+
 class SensorTable:
     """Sensors of all points by number, and what their readings are to the filter."""
 
@@ -53,13 +61,8 @@ class SensorTable:
         self.node = np.array([n for p in points for n in p.mesh.sensors], dtype=np.int64)
         sigma = [max(s.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(s)) for s in self.sensors]
         self.sigma_K, self.per_K = np.array(sigma), np.array([s.noise_per_K for s in self.sensors])
-        has_recorder = [s.bits is not None and s.range_K is not None for s in self.sensors]
-        pairs = list(zip(self.sensors, has_recorder, strict=True))
-        self.recorders = Recorders(
-            np.array([s.range_K[0] if w and s.range_K else np.nan for s, w in pairs]),
-            np.array([s.lsb_K if w else np.nan for s, w in pairs]),
-            np.array([2.0 ** (s.bits or 0) - 1.0 if w else np.nan for s, w in pairs]),
-        )
+        recorders = np.array([_recorder(s) for s in self.sensors]).reshape(-1, 3)
+        self.recorders = Recorders(*recorders.T.copy())
         self.tau_s = np.array([s.tau_s for s in self.sensors])
         self.curved = [n for n, s in enumerate(self.sensors) if s.calibration is not None]
         self.used = np.array([s.used for s in self.sensors])

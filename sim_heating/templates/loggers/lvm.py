@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
@@ -75,18 +76,13 @@ def _segment(path: Path, head: Sequence[Row], below: Sequence[Row], header: dict
         raise InputError(f"{display_path(path)}: no rows of numbers below the header; it may have been cut off")
     (names_line, names), *body = below
     stated = {cells[0]: cells for _, cells in head}
-
-    def of_channel(key: str, k: int) -> str:
-        return next(iter(stated.get(key, ())[k : k + 1]), "")
-
+    of_channel = partial(_cell, stated)
     x_columns, decimal = header.get("X_Columns", "One"), header.get("Decimal_Separator") or "."
     if x_columns == "No" and names[0] != "X_Value":
         names, body = ["X_Value", *names], [(i, ["", *cells]) for i, cells in body]
-    width = len(names) - (names[-1] == "Comment")
-    while width > 1 and not names[width - 1]:
-        width -= 1
-    columns = [[cells[k] if k < len(cells) else "" for _, cells in body] for k in range(width)]
-    channels = [k for k in range(width) if k and not (x_columns == "Multi" and names[k] == "X_Value")]
+    columns = _named_columns(names, body)
+    width = len(columns)
+    channels = [k for k in range(1, width) if x_columns != "Multi" or names[k] != "X_Value"]
     begin = {k: _seconds(of_channel("Date", k), of_channel("Time", k), decimal) for k in channels}
     block = Block(
         path, tuple(names[k] or f"column{k + 1}" for k in channels),
@@ -99,23 +95,61 @@ def _segment(path: Path, head: Sequence[Row], below: Sequence[Row], header: dict
     if x_columns == "One":
         lines, cells = block.lines, [columns[0], *block.cells]
     elif x_columns == "Multi" or of_channel("Delta_X", 1):
-        readings: dict[float, dict[int, tuple[int, str]]] = {}
-        for k, texts in zip(channels, block.cells, strict=True):
-            shift = (begin[k] or 0.0) - (begin[channels[0]] or 0.0)
-            x0, step = (_number(block, 0, of_channel(key, k) or "0") for key in ("X0", "Delta_X"))
-            for j, (line, cell) in enumerate(zip(block.lines, texts, strict=True)):
-                if cell:
-                    x = x0 + step * j if x_columns == "No" else _number(block, j, columns[k - 1][j])
-                    readings.setdefault(shift + x, {})[k] = line, cell
-        rows = sorted(readings.items())
-        lines = tuple(min(row.values())[0] for _, row in rows)
-        cells = [[_text(x, decimal) for x, _ in rows], *([row.get(k, (0, ""))[1] for _, row in rows] for k in channels)]
+        shift_s = {k: (begin[k] or 0.0) - (begin[channels[0]] or 0.0) for k in channels}
+        if x_columns == "No":
+            times = {k: [t + shift_s[k] for t in _even_times(block, stated, k)] for k in channels}
+        else:
+            times = {k: _times_beside(block, columns[k - 1], columns[k], shift_s[k]) for k in channels}
+        lines, cells = _by_time(block, times)
     else:
         return block, None
     return replace(
         block, names=("X_Value", *block.names), units=(of_channel("X_Unit_Label", 1) or "s", *block.units),
         cells=tuple(cells), lines=lines,
     ), begin[channels[0]]  # fmt: skip
+
+
+def _cell(stated: Mapping[str, Sequence[str]], key: str, k: int) -> str:
+    """What a header states under a key of column k; empty where it states nothing."""
+    return next(iter(stated.get(key, ())[k : k + 1]), "")
+
+
+def _named_columns(names: Sequence[str], body: Sequence[Row]) -> list[list[str]]:
+    """Cells by column: without the comments, and without the columns at the end that have no name."""
+    width = len(names) - (names[-1] == "Comment")
+    while width > 1 and not names[width - 1]:
+        width -= 1
+    return [[cells[k] if k < len(cells) else "" for _, cells in body] for k in range(width)]
+
+
+def _even_times(block: Block, stated: Mapping[str, Sequence[str]], k: int) -> list[float]:
+    """Times of the rows of a channel that has a first one and a step."""
+    x0, step = (_number(block, 0, _cell(stated, key, k) or "0") for key in ("X0", "Delta_X"))
+    return [x0 + step * j for j in range(len(block.lines))]
+
+
+def _times_beside(block: Block, clock: Sequence[str], readings: Sequence[str], shift_s: float) -> list[float]:
+    """Times of the rows of a channel that has its own column of them; NaN where it has no reading."""
+    return [
+        shift_s + _number(block, j, cell) if reading else math.nan
+        for j, (cell, reading) in enumerate(zip(clock, readings, strict=True))
+    ]
+
+
+def _by_time(block: Block, times: Mapping[int, Sequence[float]]) -> tuple[tuple[int, ...], list[list[str]]]:
+    """Line of each row and cells by column, time first, of channels that are read at different times.
+
+    times : of the rows, by channel, in the order of the block's columns [s]
+    """
+    readings: dict[float, dict[int, tuple[int, str]]] = {}
+    for (k, clock), texts in zip(times.items(), block.cells, strict=True):
+        for t, line, cell in zip(clock, block.lines, texts, strict=True):
+            if cell:
+                readings.setdefault(t, {})[k] = line, cell
+    rows = sorted(readings.items())
+    lines = tuple(min(row.values())[0] for _, row in rows)
+    texts_of = ([row.get(k, (0, ""))[1] for _, row in rows] for k in times)
+    return lines, [[_text(x, block.decimal) for x, _ in rows], *texts_of]
 
 
 def _joined(segments: Sequence[Segment]) -> Block:
@@ -136,24 +170,30 @@ def _joined(segments: Sequence[Segment]) -> Block:
         if (block.names, block.units) != (first.names, first.units) or block.units[0] != "s":
             raise InputError(f"{where}: a segment begins whose columns or unit of time differ; {remedy}")
         x = [_number(block, j, cell) for j, cell in enumerate(block.cells[0])]
-        apart = None if stamp is None or begin is None else stamp - begin
-        shift = 0.0
+        apart = 0.0 if stamp is None or begin is None else stamp - begin
         if not blocks:
             x_first = x[0]
-        elif x[0] <= last:
-            shift = apart or 0.0
-        elif apart and abs(x[0] - x_first - apart) > CLOCK_JITTER * apart:
+        goes_on = not x[0] <= last
+        shift = 0.0 if goes_on else apart
+        if blocks and goes_on and apart and abs(x[0] - x_first - apart) > CLOCK_JITTER * apart:
             raise InputError(f"{where}: X_Value and the date and time of the segment state different times; {remedy}")
         if x[0] + shift <= end:
             raise InputError(f"{where}: a segment begins before the one above ends; {remedy}")
         end, last = x[-1] + shift, x[-1]
         times = [_text(t + shift, block.decimal) for t in x] if shift else block.cells[0]
         blocks.append(replace(block, cells=(times, *block.cells[1:])))
+    return _stacked(blocks)
+
+
+def _stacked(blocks: Sequence[Block]) -> Block:
+    """The rows of blocks of the same columns, one below the other."""
     columns = zip(*(b.cells for b in blocks), strict=True)
     return replace(
-        first, cells=tuple([c for cells in column for c in cells] for column in columns),
-        lines=tuple(line for b in blocks for line in b.lines), about=f"{first.about}, {len(blocks)} segments",
-    )  # fmt: skip
+        blocks[0],
+        cells=tuple([c for cells in column for c in cells] for column in columns),
+        lines=tuple(line for b in blocks for line in b.lines),
+        about=f"{blocks[0].about}, {len(blocks)} segments",
+    )
 
 
 def _seconds(date: str, time: str, decimal: str) -> float | None:

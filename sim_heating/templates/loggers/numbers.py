@@ -58,8 +58,44 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
     raises  : InputError that names a cell where both readings hold, or cells contradict each other
     """
     stated = decimal or block.decimal or None
-    evidence: dict[str, tuple[int, int]] = {}  # decimal sign -> row and column of a cell that shows it
-    open_cells: dict[str, tuple[int, int]] = {}  # a single sign with three digits behind it
+    evidence, open_cells, blank = _shown_signs(block, columns)
+    if stated is None and len(evidence) > 1:
+        row, k = max(evidence.values())
+        first = min(evidence.values())
+        two = f"`{block.cells[k][row]}`" + (f" and `{block.cells[first[1]][first[0]]}`" if first[0] >= 0 else "")
+        raise InputError(
+            f"{block.at(row, block.names[k])}: {two} do not have one decimal sign; state it, --decimal . or --decimal ,"
+        )
+    sign = stated or next(iter(evidence), None)
+    if sign is not None:
+        return Signs(sign, blank or _thousands(block, columns, sign))
+    if len(open_cells) == 1 and _shows_thousands(block, columns, thousands := next(iter(open_cells))):
+        return Signs(_other_sign(thousands), thousands)
+    for either, (row, k) in open_cells.items():
+        if either == "," or _may_be_thousands(block, columns):
+            cell = block.cells[k][row]
+            integer = re.sub(r"[.,]", "", cell)
+            raise InputError(
+                f"{block.at(row, block.names[k])}: `{cell}` may be {integer} or {cell.replace(',', '.')}; "
+                "state the decimal "
+                f"sign, --decimal {_other_sign(either)} for {integer}, --decimal {either} for {cell.replace(',', '.')}"
+            )
+    return Signs(".", blank)
+
+
+def _other_sign(sign: str) -> str:
+    return "," if sign == "." else "."
+
+
+def _shown_signs(
+    block: Block, columns: Sequence[int]
+) -> tuple[dict[str, tuple[int, int]], dict[str, tuple[int, int]], str]:
+    """Signs of numbers with the row and column of the first cell that has them, and the blank between thousands.
+
+    returns : decimal signs that a cell shows; single signs before three digits, which may be either; the blank
+    """
+    evidence: dict[str, tuple[int, int]] = {}
+    open_cells: dict[str, tuple[int, int]] = {}
     blank = ""
     for k in columns:
         cells = block.column(k)
@@ -72,34 +108,7 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
                 (evidence if shown[0] else open_cells).setdefault(shown[1], (row, k))
                 if shown[0] and len(signs) == 1:
                     break  # no other cell of the column has another sign
-    if stated is not None:
-        return Signs(stated, blank or _thousands(block, columns, stated))
-    if len(evidence) > 1:
-        row, k = max(evidence.values())
-        first = min(evidence.values())
-        two = f"`{block.cells[k][row]}`" + (f" and `{block.cells[first[1]][first[0]]}`" if first[0] >= 0 else "")
-        raise InputError(
-            f"{block.at(row, block.names[k])}: {two} do not have one decimal sign; state it, --decimal . or --decimal ,"
-        )
-    if evidence:
-        sign = next(iter(evidence))
-        return Signs(sign, blank or _thousands(block, columns, sign))
-    if not open_cells:
-        return Signs(".", blank)
-    if len(open_cells) == 1 and _shows_thousands(block, columns, sign := next(iter(open_cells))):
-        return Signs("." if sign == "," else ",", sign)
-    for sign, at in open_cells.items():
-        row, k = at
-        if sign == "," or _may_be_thousands(block, columns):
-            cell = block.cells[k][row]
-            point = "." if sign == "," else ","
-            integer = re.sub(r"[.,]", "", cell)
-            raise InputError(
-                f"{block.at(row, block.names[k])}: `{cell}` may be {integer} or {cell.replace(',', '.')}; "
-                "state the decimal "
-                f"sign, --decimal {point} for {integer}, --decimal {sign} for {cell.replace(',', '.')}"
-            )
-    return Signs(".", blank)
+    return evidence, open_cells, blank
 
 
 def _sign_of(cell: str) -> tuple[bool, str] | None:
@@ -181,43 +190,33 @@ class Numbers:
 
 def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
     """The numbers that the cells of a column hold."""
-    joined = set("".join(cells))
-    if joined <= PLAIN_CHARACTERS and signs.decimal == "." and not signs.thousands:
-        values = np.asarray(pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce"), dtype=float)
-        bad = [int(i) for i in np.flatnonzero(np.isnan(values)) if cells[int(i)]]
-        torn = next((i for i in bad if any(c.isdigit() for c in cells[i])), -1)
-        return Numbers(np.where(np.isfinite(values), values, np.nan), "", tuple({cells[i] for i in bad}), torn)
+    if set("".join(cells)) <= PLAIN_CHARACTERS and signs.decimal == "." and not signs.thousands:
+        return _plain_numbers(cells)
     pattern, drop = signs.pattern, str.maketrans("", "", (signs.thousands or "") + BLANKS)
     values = np.full(len(cells), math.nan)
     units: set[str] = set()
-    texts: dict[str, None] = {}
-    torn = -1
-    by_cell: dict[str, tuple[float, str]] = {}
+    by_cell = {cell: _read(cell, pattern, drop, signs.decimal) for cell in dict.fromkeys(cells) if cell}
     for i, cell in enumerate(cells):
-        if not cell:
-            continue
-        if cell not in by_cell:
-            by_cell[cell] = _read(cell, pattern, drop, signs.decimal)
-        value, unit = by_cell[cell]
-        if math.isnan(value):
-            texts[cell] = None
-            if torn < 0 and TORN.match(cell):
-                torn = i
-        else:
-            values[i] = value
+        if cell and not math.isnan(by_cell[cell][0]):
+            values[i], unit = by_cell[cell]
             units.add(unit)
-    if (
-        len(units) == 2
-        and "" in units
-        and all(_is_code(values[i]) for i, c in enumerate(cells) if c and not by_cell[c][1])
-    ):
+    texts = {cell: None for cell, (value, _) in by_cell.items() if math.isnan(value)}
+    torn = next((i for i, cell in enumerate(cells) if cell in texts and TORN.match(cell)), -1)
+    if len(units) == 2 and "" in units and all(_is_code(v) for v, u in by_cell.values() if not u):
         units.discard("")  # the code of a lost sample states no unit
-    if len(units) > 1:
-        torn = (
-            torn if torn >= 0 else next(i for i, c in enumerate(cells) if c and by_cell[c][1] != by_cell[cells[0]][1])
-        )
+    if len(units) > 1 and torn < 0:
+        first = next(filter(None, cells))
+        torn = next(i for i, c in enumerate(cells) if c and by_cell[c][1] != by_cell[first][1])
     unit = next(iter(units)) if len(units) == 1 else ""
     return Numbers(values, unit, tuple(texts), torn)
+
+
+def _plain_numbers(cells: Sequence[str]) -> Numbers:
+    """Numbers of cells without units, thousands and decimal commas, read all at once."""
+    values = np.asarray(pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce"), dtype=float)
+    bad = [int(i) for i in np.flatnonzero(np.isnan(values)) if cells[int(i)]]
+    torn = next((i for i in bad if any(c.isdigit() for c in cells[i])), -1)
+    return Numbers(np.where(np.isfinite(values), values, np.nan), "", tuple({cells[i] for i in bad}), torn)
 
 
 def _is_code(value: float) -> bool:

@@ -96,20 +96,25 @@ def _recorder(lines: Sequence[tuple[int, str]]) -> str:
 def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], bool]:
     """Lines of the serial monitor of an Arduino, `10:45:00.512 -> 20.06,20.46`, with a separator for the arrow."""
     arrow = re.compile(r"(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> (.*)")
-    matches = [(i, arrow.fullmatch(line.strip())) for i, line in lines]
-    if sum(m is not None for _, m in matches) < 0.9 * len(lines):
+    stamped = [(i, m[1], m[2]) for i, line in lines if (m := arrow.fullmatch(line.strip())) is not None]
+    if len(stamped) < 0.9 * len(lines):
         return lines, False
-    rest = [(i, m[2]) for i, m in matches if m is not None]
-    labelled = [re.findall(r"([A-Za-z][\w ]*?)\s*[:=]\s*([+-]?\d[^,;\t]*?)\s*(?=[,;\t]|$)", text) for _, text in rest]
-    if all(labelled) and len({tuple(n for n, _ in pairs) for pairs in labelled}) == 1:
-        head = ";".join(["time", *(name.strip() for name, _ in labelled[0])])
-        rows = [
-            (i, ";".join([m[1], *(value for _, value in pairs)]))
-            for (i, m), pairs in zip(((i, m) for i, m in matches if m is not None), labelled, strict=True)
-        ]
-        return [(0, head), *rows], True
+    labelled = _labelled_values([text for _, _, text in stamped])
+    if labelled is not None:
+        names, values = labelled
+        head = ";".join(["time", *names])
+        return [(0, head), *((i, ";".join([t, *v])) for (i, t, _), v in zip(stamped, values, strict=True))], True
+    rest = [(i, text) for i, _, text in stamped]
     sign = _separator(rest) if any(s in text for _, text in rest[:50] for s in ",;\t ") else ";"
-    return [(i, m[1] + sign + m[2]) for i, m in matches if m is not None], True
+    return [(i, t + sign + text) for i, t, text in stamped], True
+
+
+def _labelled_values(texts: Sequence[str]) -> tuple[list[str], list[list[str]]] | None:
+    """Names and the values of each line, where all lines are as `Temp: 20.1, Hum: 40` with the same names."""
+    lines = [re.findall(r"([A-Za-z][\w ]*?)\s*[:=]\s*([+-]?\d[^,;\t]*?)\s*(?=[,;\t]|$)", text) for text in texts]
+    if not all(lines) or len({tuple(n for n, _ in pairs) for pairs in lines}) != 1:
+        return None
+    return [name.strip() for name, _ in lines[0]], [[value for _, value in pairs] for pairs in lines]
 
 
 def split_lines(lines: Sequence[tuple[int, str]], sign: str) -> list[Row]:
@@ -197,23 +202,8 @@ def rows_block(
     first = _first_row(split, width, recorder)
     if first is None:
         raise InputError(f"{file}: no rows of numbers were found; give a file with a time and temperatures")
-    last = _last_row(split, first, width)
-    notes = []
-    if last + 1 < len(split):
-        line, cells = split[last + 1]
-        if len(split) - last - 1 > TRAILER_LINES:
-            rule = "does not have the cells of the rows above; cut the file there"
-            raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
-        notes.append(f"rows {line} to {split[-1][0]} behind the data left out (`{_shown(cells)}`)")
-    body = [k for k in range(first, last + 1) if not _is_comment(split[k][1])]
-    if len(body) < last + 1 - first:
-        notes.append(f"{last + 1 - first - len(body)} lines of comment amid the data left out")
-    for k in body:
-        line, cells = split[k]
-        if len(cells) != width and (len(cells) < width or any(cells[width:])):
-            rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
-            raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
-    columns = [list(c) for c in zip(*(split[k][1][:width] for k in body), strict=True)]
+    body, notes = _body(file, split, first, _last_row(split, first, width))
+    columns = _columns_of_rows(file, body, width)
     while width > 1 and not any(columns[-1]) and not _named_cell(split, first, width - 1):
         columns.pop()  # a separator ends each line
         width -= 1
@@ -221,9 +211,40 @@ def rows_block(
     sign_text = SEPARATORS.get(sign, f"`{sign}`") if sign else ""
     remarks = [recorder, f"cells separated by {sign_text}" if sign_text else ""]
     return Block(
-        path, tuple(names), tuple(units), tuple(columns), tuple(split[k][0] for k in body), sign, "", names_line,
-        ", ".join(remark for remark in remarks if remark), tuple(notes),
+        path, tuple(names), tuple(units), tuple(columns), tuple(line for line, _ in body), sign, "", names_line,
+        ", ".join(filter(None, remarks)), tuple(notes),
     )  # fmt: skip
+
+
+def _body(file: str, split: Sequence[Row], first: int, last: int) -> tuple[list[Row], list[str]]:
+    """Rows of data from the first to the last, without comments, and notes of what is left out.
+
+    raises : InputError, one line, where too many rows stand behind the last
+    """
+    notes = []
+    behind = split[last + 1 :]
+    if behind:
+        line, cells = behind[0]
+        if len(behind) > TRAILER_LINES:
+            rule = "does not have the cells of the rows above; cut the file there"
+            raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
+        notes.append(f"rows {line} to {split[-1][0]} behind the data left out (`{_shown(cells)}`)")
+    body = [row for row in split[first : last + 1] if not _is_comment(row[1])]
+    if comments := last + 1 - first - len(body):
+        notes.append(f"{comments} lines of comment amid the data left out")
+    return body, notes
+
+
+def _columns_of_rows(file: str, body: Sequence[Row], width: int) -> list[list[str]]:
+    """Cells by column of rows of data.
+
+    raises : InputError, one line, for a row that has fewer cells, or more that are not empty
+    """
+    for line, cells in body:
+        if len(cells) < width or any(cells[width:]):
+            rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
+            raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
+    return [list(c) for c in zip(*(cells[:width] for _, cells in body), strict=True)]
 
 
 def _shown(cells: Sequence[str]) -> str:
@@ -283,13 +304,7 @@ def _head(
     if recorder == "Campbell TOA5":
         names, units = (_filled(split[k][1], width) for k in (1, 2))
         return names, ["" if known_unit(u) is None else u for u in units], split[1][0]
-    above = [(split[k][0], _head_cells(split[k], width, lines)) for k in range(first - 1, max(first - 5, -1), -1)]
-    rows = [(line, cells) for line, cells in above if len(cells) == width]
-    if above and len(above[0][1]) != width:
-        line, cells = above[0]
-        if len(cells) > 1 and any(re.search(NAME_WORDS, c) for c in cells):
-            rule = f"for {width} cells in the rows below; give each column one name, or state --separator"
-            raise InputError(f"{file}, row {line}: {len(cells)} names (`{_shown(cells)}`) {rule}")
+    rows = _rows_above(file, split, first, width, lines)
     if rows and all(c.lower() in PROCESS for c in rows[0][1]):
         rows = rows[1:]
     if not rows:
@@ -297,6 +312,21 @@ def _head(
     if len(rows) > 1 and (_is_unit_row(rows[0][1]) or _are_names_above(rows)):
         return rows[1][1], [c.strip() for c in rows[0][1]], rows[1][0]
     return rows[0][1], none, rows[0][0]
+
+
+def _rows_above(
+    file: str, split: Sequence[Row], first: int, width: int, lines: dict[int, str] | None
+) -> list[tuple[int, list[str]]]:
+    """Line and cells of the rows above the data that have a cell for each column, the nearest first.
+
+    raises : InputError, one line, where the nearest row holds names, and not one for each column
+    """
+    above = [(split[k][0], _head_cells(split[k], width, lines)) for k in range(first - 1, max(first - 5, -1), -1)]
+    line, nearest = above[0] if above else (0, [])
+    if 1 < len(nearest) != width and any(re.search(NAME_WORDS, c) for c in nearest):
+        rule = f"for {width} cells in the rows below; give each column one name, or state --separator"
+        raise InputError(f"{file}, row {line}: {len(nearest)} names (`{_shown(nearest)}`) {rule}")
+    return [(line, cells) for line, cells in above if len(cells) == width]
 
 
 def _are_names_above(rows: Sequence[tuple[int, list[str]]]) -> bool:
