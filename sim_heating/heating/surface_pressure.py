@@ -54,7 +54,10 @@ class ModifiedNewtonian(Declared):
     bodyflap_factor: float = Field(default=0.0, ge=-1.0, le=1.0)
 
     def parameters(self) -> FloatArray:
-        """(4,) parameter block of `surface_pressure_kernel`: kind, inclination [deg], elevon and flap factor [-]."""
+        """(4,) parameter block of `surface_pressure_kernel`: kind, inclination [deg], elevon and flap factor [-].
+
+        Source: docs/theory/equations.md, equation 30.
+        """
         return np.array([NEWTONIAN, self.inclination_deg, self.elevon_factor, self.bodyflap_factor])
 
 
@@ -69,7 +72,10 @@ class FractionOfStagnation(Declared):
     fraction: float = Field(ge=0.0, le=1.0)
 
     def parameters(self) -> FloatArray:
-        """(4,) parameter block of `surface_pressure_kernel`: kind [-], fraction [-], and two zeros without meaning."""
+        """(4,) parameter block of `surface_pressure_kernel`: kind [-], fraction [-], and two zeros without meaning.
+
+        Source: docs/theory/equations.md, equation 31.
+        """
         return np.array([FRACTION, self.fraction, 0.0, 0.0])
 
 

@@ -155,7 +155,7 @@ class Ensemble:
         return self.state.copy()
 
     def restore(self, snapshot: FloatArray) -> None:
-        """Return to a snapshot of this ensemble, bit for bit.
+        """Return to the temperatures [K], conditions and counters of a snapshot of this ensemble, bit for bit.
 
         snapshot : (number,) as `snapshot` gave it
         raises   : InputError where its size is that of another model
@@ -380,5 +380,7 @@ def histories(flights: Sequence[Conditions]) -> FloatArray:
     """(flight, time, condition) conditions of several flights, as `Ensemble.march` takes them.
 
     flights : conditions [deg], [Pa], [J/kg] ..., all at the same times
+
+    Source: docs/theory/equations_march.md, equation 1.
     """
     return np.stack([condition_history(flight) for flight in flights])

@@ -288,7 +288,7 @@ def _summary_of_band(history: PointHistory, *limits: float | None) -> dict[str, 
 
 
 def rising_bondlines(points: Mapping[str, Mapping[str, Any]], shown: int | None = None) -> list[str]:
-    """A line that names the points whose bondline is hottest at the end of a flight, if there are any.
+    """A line that names the points whose bondline [K] is hottest at the end of a flight, if there are any.
 
     points : `point_summary` by name;  shown : how many points it names; None for all
 

@@ -36,11 +36,11 @@ class LaneOffsets:
 
     @property
     def node_0(self) -> int:
-        """Offset in `state` of the first number of node 0, the node at the surface."""
+        """Offset [-] in `state` of the first number of node 0, the node at the surface."""
         return self.start + block.HEAD_ROWS * LANES + self.lane
 
     def scalar(self, row: int) -> int:
-        """Offset in `state` of one number of the lane.
+        """Offset [-] in `state` of one number of the lane.
 
         row : row of the block ahead of its nodes (base/kernels/block.py)
         """

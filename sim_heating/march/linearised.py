@@ -93,7 +93,7 @@ class Track:
 
     @property
     def read_nodes(self) -> tuple[int, ...]:
-        """Nodes whose temperatures are read: those of the track, by default those of the sensors."""
+        """Nodes whose temperatures [K] are read: those of the track, by default those of the sensors."""
         return self.mesh.sensors if self.nodes is None else self.nodes
 
     @property

@@ -139,7 +139,7 @@ class PointModel:
 
     @cached_property
     def places(self) -> Mapping[str, int]:
-        """Index in `values` of every parameter by dotted name, that of a layer by its own name and by its role.
+        """Index [-] in `values` of every parameter by dotted name, that of a layer by its own name and by its role.
 
         The first layer and the insulation have roles. Layers of one name have their parameters in common; those of one
         layer that has a role are the role's.
@@ -309,7 +309,7 @@ class PointModel:
         return max((s for s in scatters if s is not None), default=None)
 
     def is_curved(self, name: str) -> bool:
-        """Whether the heat balance at given temperatures is not affine in a parameter of stack or ratio.
+        """Whether the heat balance [W/m2] at given temperatures is not affine in a parameter of stack or ratio.
 
         name : dotted name; a layer's by its own name or its role
         """

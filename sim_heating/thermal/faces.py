@@ -166,7 +166,8 @@ def emittance(table: FloatArray, first: int, wall: float) -> float:
 
 @inline_always
 def invalidate_walls(B: FloatArray) -> None:
-    """Invalidate the pieces of emittance and air enthalpy cached for every lane, so that they are looked up again."""
+    """Invalidate the pieces of emittance [-] and air enthalpy [J/kg] cached for every lane, so that they are looked up
+    again."""
     for lane in range(LANES):
         B[WALL_HIGH * LANES + lane] = -FAR
 

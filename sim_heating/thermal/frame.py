@@ -349,7 +349,10 @@ def advance(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float
 @njit
 def shift_conditions(B: FloatArray) -> None:
     """Shift the conditions ([deg], [Pa], [J/kg] ...) at the end of the last frame to the start of the next: stage 2
-    becomes stage 0."""
+    becomes stage 0.
+
+    Source: docs/theory/equations_march.md, equation 3.
+    """
     span = LANES * N_CONDITIONS
     first = C_STAGES * LANES
     for k in range(span):

@@ -55,7 +55,7 @@ class Mesh:
 
     @property
     def nodes(self) -> int:
-        """Number of nodes, one more than elements."""
+        """Number of nodes [-], one more than elements."""
         return len(self.depth_m)
 
 

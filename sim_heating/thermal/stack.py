@@ -769,7 +769,7 @@ def sensor_remarks(stack: Stack, sensors: Sequence[Sensor]) -> list[tuple[Locati
 def sensor_problems(
     stack: Stack, sensors: Sequence[Sensor], materials: Mapping[str, Material]
 ) -> list[tuple[Location, str]]:
-    """Sensors outside the stack or within a layer of gas, and names or columns used twice.
+    """Sensors at depths [m] outside the stack or within a layer of gas, and names or columns used twice.
 
     materials : of the layers, as far as known
     returns : ((index of the sensor, key), text) of each problem

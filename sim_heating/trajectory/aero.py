@@ -80,7 +80,7 @@ class Reference(Convertible):
     moment_reference_fraction: Fraction
 
     def implausible(self) -> list[tuple[Location, str]]:
-        """Lengths and areas that no body has together."""
+        """Lengths [m] and areas [m2] that no body has together."""
         lengths = {name: getattr(self, name) for name in ("length_m", "chord_m", "span_m")}
         shortest, longest = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
         problems = super().implausible()
@@ -191,7 +191,10 @@ class Grid(NamedTuple):
 
     def packed(self) -> FloatArray:
         """The table as one block for the kernels: three sizes, axes of Mach [-] and of angles [deg], coefficients
-        [-]."""
+        [-].
+
+        Source: docs/theory/equations.md, equation 36.
+        """
         sizes = np.array(self.values.shape[:3], dtype=float)
         return np.concatenate((sizes, self.mach, self.alpha_deg, self.deflection_deg, self.values.ravel()))
 
@@ -211,7 +214,10 @@ def bracket(axis: FloatArray, x: float) -> tuple[int, float]:
 
 @njit
 def grid_kernel(mach: float, alpha_deg: float, deflection_deg: float, table: FloatArray) -> tuple[float, float, float]:
-    """CN, CA, Cm [-] of one packed table, trilinear in Mach and angles [deg], constant beyond the ends."""
+    """CN, CA, Cm [-] of one packed table, trilinear in Mach and angles [deg], constant beyond the ends.
+
+    Source: docs/theory/equations.md, equation 36.
+    """
     n, m, p = int(table[0]), int(table[1]), int(table[2])
     i, u = bracket(table[3 : 3 + n], mach)
     j, v = bracket(table[3 + n : 3 + n + m], alpha_deg)
@@ -240,7 +246,10 @@ def body_kernel(
     elevon: FloatArray,
     bodyflap: FloatArray,
 ) -> tuple[float, float, float]:
-    """CN, CA, Cm [-] about the moment reference from packed tables, controls [deg] included, flight shift not."""
+    """CN, CA, Cm [-] about the moment reference from packed tables, controls [deg] included, flight shift not.
+
+    Source: docs/theory/equations.md, equation 36.
+    """
     cn, ca, cm = grid_kernel(mach, alpha_deg, 0.0, basic)
     dn, da, dm = grid_kernel(mach, alpha_deg, elevon_deg, elevon)
     fn, fa, fm = grid_kernel(mach, alpha_deg, bodyflap_deg, bodyflap)
@@ -266,24 +275,33 @@ class Aero:
 
     @cached_property
     def packed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The three tables of coefficients [-] as `body_kernel` takes them."""
+        """The three tables of coefficients [-] as `body_kernel` takes them.
+
+        Source: docs/theory/equations.md, equation 36.
+        """
         return self.basic.packed(), self.elevon.packed(), self.bodyflap.packed()
 
     @property
     def arm(self) -> float:
-        """(x_cg - x_ref) / c [-]: what CN adds to the moment about the centre of gravity."""
+        """(x_cg - x_ref) / c [-]: what CN adds to the moment about the centre of gravity.
+
+        Source: docs/theory/equations.md, equation 36.
+        """
         ref = self.file.reference
         return (self.cg_fraction - ref.moment_reference_fraction) * ref.length_m / ref.chord_m
 
     def shift(self, mach: float) -> float:
-        """Flight-found pitching moment [-] at a Mach number."""
+        """Flight-found pitching moment [-] at a Mach number. Source: docs/theory/equations.md, equation 36."""
         low, high = self.file.cm_shift.mach
         return self.cm_shift * min(max((mach - low) / (high - low), 0.0), 1.0)
 
     def body_coefficients(
         self, mach: float, alpha_deg: float, elevon_deg: float = 0.0, bodyflap_deg: float = 0.0
     ) -> tuple[float, float, float]:
-        """CN (up), CA (aft) and Cm [-] about the moment reference at angles [deg], the flight shift included."""
+        """CN (up), CA (aft) and Cm [-] about the moment reference at angles [deg], the flight shift included.
+
+        Source: docs/theory/equations.md, equation 36.
+        """
         cn, ca, cm = body_kernel(mach, alpha_deg, elevon_deg, bodyflap_deg, *self.packed)
         return cn, ca, cm + self.shift(mach)
 
@@ -299,13 +317,19 @@ class Aero:
         return cn * c - ca * s, cn * s + ca * c, cm + cn * self.arm
 
     def trim_elevon_deg(self, mach: float, alpha_deg: float, bodyflap_deg: float = 0.0) -> float:
-        """Elevon deflection [deg] of zero moment about the centre of gravity; the end of its travel without one."""
+        """Elevon deflection [deg] of zero moment about the centre of gravity; the end of its travel without one.
+
+        Source: docs/theory/equations.md, equation 36.
+        """
         # The moment is linear between the nodes of the table, so that its signs at the nodes bracket the zero exactly.
         nodes = _travel_nodes(self.elevon.deflection_deg, self.file.elevon.range_deg)
         return _zero_crossing(nodes, [self.coefficients(mach, alpha_deg, float(d), bodyflap_deg)[2] for d in nodes])
 
     def trim_bodyflap_deg(self, mach: float, alpha_deg: float, elevon_deg: float = 0.0) -> float:
-        """Body-flap deflection [deg] of zero moment about the centre of gravity; the end of its travel without one."""
+        """Body-flap deflection [deg] of zero moment about the centre of gravity; the end of its travel without one.
+
+        Source: docs/theory/equations.md, equation 36.
+        """
         nodes = _travel_nodes(self.bodyflap.deflection_deg, self.file.bodyflap.range_deg)
         return _zero_crossing(nodes, [self.coefficients(mach, alpha_deg, elevon_deg, float(d))[2] for d in nodes])
 
@@ -317,6 +341,8 @@ class Aero:
         alpha_deg : angle-of-attack schedule [(x, deg), ...]
         against   : meaning of x, "mach" or "velocity_m_s"; a velocity is converted to Mach with 300 m/s, and the
                     elevon trims the small remaining moment
+
+        Source: docs/theory/equations.md, equation 36.
         """
         scale = 1.0 if against == "mach" else 1.0 / SCHEDULE_SOUND_M_S
         x, y = np.array(sorted(alpha_deg), dtype=float).T
@@ -350,7 +376,7 @@ class Aero:
 
 
 def load_aero(vehicle_dir: Path) -> Aero:
-    """Read `<vehicle_dir>/aero/aero.toml` and its tables.
+    """Read `<vehicle_dir>/aero/aero.toml` and its tables of coefficients [-] over Mach [-] and angles [deg].
 
     raises : InputError where a file is missing, a value cannot be used or a table has a hole
     """
@@ -395,7 +421,10 @@ def _mass_problems(aero: Aero, folder: Path) -> list[str]:
 
 def flown_aero(spec: TrajectorySpec, vehicle_dir: Path) -> Aero:
     """A vehicle's aerodynamics with the mass [kg], centre of gravity [m] and pitching-moment shift [-] that a
-    scenario flies."""
+    scenario flies.
+
+    Source: docs/theory/equations.md, equation 36.
+    """
     state = spec.vehicle
     return load_aero(vehicle_dir).with_changes(
         mass_kg=state.mass_kg, cg_fraction=state.cg_fraction, cm_shift=state.cm_shift

@@ -39,7 +39,8 @@ SURFACES = {"elevon": "elevon_deg", "bodyflap": "bodyflap_deg"}
 
 
 def aero_model(aero: Aero) -> DaveModel:
-    """The tables of a vehicle as a model, about its moment reference, with check data; the flight shift is left out."""
+    """The tables of a vehicle, coefficients [-] over Mach [-] and angles [deg], as a model, about its moment reference,
+    with check data; the flight shift is left out."""
     grids: dict[str, tuple[Grid, tuple[str, ...]]] = {"basic": (aero.basic, ("mach", "alpha_deg"))}
     for name, grid in (("elevon", aero.elevon), ("bodyflap", aero.bodyflap)):
         if grid.values.size > len(COEFFICIENTS):  # a surface that does not exist is one point
@@ -84,7 +85,7 @@ def _cases(model: DaveModel, aero: Aero) -> tuple[CheckCase, ...]:
 
 
 def export_aero(aero: Aero, out: str | os.PathLike[str]) -> None:
-    """Write the tables of a vehicle as a model of DAVE-ML."""
+    """Write the tables of a vehicle, coefficients [-] over Mach [-] and angles [deg], as a model of DAVE-ML."""
     write_dave_ml(out, aero_model(aero))
 
 
@@ -120,7 +121,8 @@ def _inputs_of_vehicle(model: DaveModel, where: str) -> dict[str, str | None]:
 
 
 def import_aero(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
-    """Write longitudinal.csv, and elevon.csv and bodyflap.csv where the model has the surface, from a model.
+    """Write longitudinal.csv, and elevon.csv and bodyflap.csv where the model has the surface, angles [deg], from a
+    model.
 
     folder  : to write them into, the folder `aero` of a vehicle
     returns : the files

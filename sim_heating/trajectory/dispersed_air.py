@@ -14,7 +14,10 @@ DENSITY_FACTOR, WIND_NORTH, WIND_EAST = 0, 2, 4
 
 @njit
 def air_kernel(altitude_m: float, dispersions: FloatArray) -> tuple[float, float, float, float, float]:
-    """Temperature [K], pressure [Pa], density [kg/m3] and wind to north and east [m/s] at an altitude."""
+    """Temperature [K], pressure [Pa], density [kg/m3] and wind to north and east [m/s] at an altitude.
+
+    Source: US Standard Atmosphere 1976.
+    """
     T, p, rho = us76_kernel(altitude_m)
     factor = scheduled(dispersions, DENSITY_FACTOR, altitude_m)
     north, east = scheduled(dispersions, WIND_NORTH, altitude_m), scheduled(dispersions, WIND_EAST, altitude_m)
@@ -22,5 +25,8 @@ def air_kernel(altitude_m: float, dispersions: FloatArray) -> tuple[float, float
 
 
 def dispersion_block(d: Dispersions) -> FloatArray:
-    """Density factor [-] and winds [m/s] over altitude [m] as `air_kernel` reads them."""
+    """Density factor [-] and winds [m/s] over altitude [m] as `air_kernel` reads them.
+
+    Source: US Standard Atmosphere 1976.
+    """
     return pack((), d.schedules)

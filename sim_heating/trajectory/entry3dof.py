@@ -37,6 +37,8 @@ def flight_block(spec: TrajectorySpec, aero: Aero, guidance: Guidance) -> FloatA
     """Planet, vehicle, stop [s], [m/s], [m] and dispersions of a flight in one block, see `schedules`.
 
     Source: NIMA TR8350.2, tables 3.1 and 3.3, for the planet.
+
+    Source: docs/theory/equations.md, equations 35 and 36.
     """
     file, stop, state = aero.file, spec.stop, spec.vehicle
     on_speed = state.bodyflap_deg is not None and state.bodyflap_against == "velocity_m_s"
@@ -53,7 +55,10 @@ def flight_block(spec: TrajectorySpec, aero: Aero, guidance: Guidance) -> FloatA
 
 
 def initial_numbers(initial: Initial) -> FloatArray:
-    """The initial state [m], [m/s], [deg] in the order of `point_mass.INITIAL`."""
+    """The initial state [m], [m/s], [deg] in the order of `point_mass.INITIAL`.
+
+    Source: docs/theory/equations.md, equations 35 and 36.
+    """
     return np.array([
         initial.altitude_m, initial.velocity_m_s, initial.gamma_deg, initial.heading_deg, initial.latitude_deg,
         initial.longitude_deg,
@@ -88,7 +93,11 @@ class Entry:
         self.work = np.zeros(pm.WORK)
 
     def run(self, frames: int) -> tuple[FloatArray, bool]:
-        """The next frames (at most `frames`, len(ROW)), and whether the flight ended with the last of them."""
+        """The next frames (at most `frames`, len(ROW); [s], [m], [m/s], [deg] ...), and whether the flight ended with
+        the last of them.
+
+        Source: docs/theory/equations.md, equations 35 and 36.
+        """
         rows = np.empty((frames, len(ROW)))
         filled, ended = pm.run_kernel(
             self.state, self.flight, self.block, self.script, self.tables, self.dt_s, self.work, rows

@@ -84,6 +84,8 @@ class Flight:
         """The columns of conditions.FRAME at the samples, and within manoeuvres at every frame of the simulation.
 
         Angles in [deg], jets [-]: the heating takes the samples, which are linear between them to LINE_TOLERANCE.
+
+        Source: docs/theory/equations.md, section 6.
         """
         sampled = np.column_stack([self.conditions[n] for n in FRAME if n in self.conditions])
         names = [n for n in FRAME if n in self.conditions]
@@ -98,6 +100,8 @@ def frames_within(rows: Sequence[FloatArray], windows: Sequence[Window]) -> Floa
     after one [s].
 
     rows : frames in the order of conditions.FRAME, or of ROW
+
+    Source: docs/theory/equations.md, section 6.
     """
     if not rows or not windows:
         return np.zeros((0, len(FRAME)))
@@ -159,7 +163,10 @@ class Sampler:
         self._next_s = -np.inf
 
     def add(self, row: FloatArray) -> None:
-        """Add one frame, (len(ROW),) in the units of its columns; frames must be in order of time [s]."""
+        """Add one frame, (len(ROW),) in the units of its columns; frames must be in order of time [s].
+
+        Source: docs/theory/equations.md, section 6.
+        """
         if row[0] >= self._next_s - _TOLERANCE_S:
             self._store(row)
         # A frame at the time of a sample is that sample.
@@ -182,7 +189,10 @@ class Sampler:
         self._next_s = self._start_s + self._samples * self.sample_s
 
     def conditions(self) -> Conditions:
-        """All samples so far, and the frames that were kept between them."""
+        """All samples so far ([s], [m], [m/s], [deg] ...), and the frames that were kept between them.
+
+        Source: docs/theory/equations.md, section 6.
+        """
         if not self._rows:
             raise InputError("trajectory: no frame was flown; the flight ends where it starts, change the stop")
         return conditions_from_rows(np.array(self._rows), self.length_m)

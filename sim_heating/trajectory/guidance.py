@@ -91,7 +91,8 @@ class Observation(NamedTuple):
 
 
 def resolve_guidance(changes: GuidanceChanges, vehicle_dir: Path) -> Guidance:
-    """Guidance of a flight: <vehicle_dir>/guidance.toml with the scenario's keys in place of its own.
+    """Guidance of a flight (angles [deg], drag [m/s2]): <vehicle_dir>/guidance.toml with the scenario's keys in place
+    of its own.
 
     raises : InputError where the file is damaged, or absent and the scenario does not give all that is needed
     """
@@ -119,7 +120,7 @@ class GuidanceFile(Guidance):
 
 
 def load_guidance(vehicle_dir: Path) -> GuidanceFile:
-    """Read `<vehicle_dir>/guidance.toml`.
+    """Read `<vehicle_dir>/guidance.toml`: angles [deg], drag [m/s2], speeds [m/s].
 
     raises : InputError where it is missing or a key of it is wrong
     """
@@ -150,6 +151,8 @@ def first_memory_kernel(block: FloatArray, state: FloatArray, memory: int, mach:
     """Memory of guidance at the start of a flight: on the schedule's angle of attack and the first bank.
 
     block : of `guidance_block`;  mach [-], velocity_m_s [m/s] : at the start;  memory : position of its first number
+
+    Source: Harpold and Graves (1979), as at the head.
     """
     state[memory + ALPHA_COMMAND] = scheduled(block, ALPHA_SCHEDULE, mach if block[ALPHA_AXIS] == 0.0 else velocity_m_s)
     state[memory + BANK_COMMAND], state[memory + SIGN] = block[FIRST_BANK], block[FIRST_SIGN]
@@ -157,7 +160,10 @@ def first_memory_kernel(block: FloatArray, state: FloatArray, memory: int, mach:
 
 
 def first_memory(block: FloatArray, mach: float, velocity_m_s: float) -> FloatArray:
-    """Memory of guidance at the start of a flight as a new array, (MEMORY,), at a Mach number [-] and a speed [m/s]."""
+    """Memory of guidance at the start of a flight as a new array, (MEMORY,), at a Mach number [-] and a speed [m/s].
+
+    Source: Harpold and Graves (1979), as at the head.
+    """
     memory = np.zeros(MEMORY)
     first_memory_kernel(block, memory, 0, mach, velocity_m_s)
     return memory
@@ -165,7 +171,7 @@ def first_memory(block: FloatArray, mach: float, velocity_m_s: float) -> FloatAr
 
 @njit
 def clip(x: float, low: float, high: float) -> float:
-    """x within [low, high]."""
+    """x within low and high, in the unit of the three ([deg], [m/s2] ...)."""
     return min(max(x, low), high)
 
 
@@ -238,6 +244,8 @@ def drag_coefficient_rate(block: FloatArray, observed: FloatArray) -> float:
     CD = CN sin(alpha) + CA cos(alpha) with CN going with sin(alpha) and CA constant, CA / CN = tan(atan(D / L) - alpha)
 
     Source: Harpold and Graves (1979), rate of the reference drag.
+
+    Source: Harpold and Graves (1979), as at the head.
     """
     on_mach = block[ALPHA_AXIS] == 0.0
     x = observed[MACH] if on_mach else observed[SPEED]
@@ -293,7 +301,10 @@ def approach_lift(block: FloatArray, observed: FloatArray) -> float:
 
 @njit
 def phase_of(block: FloatArray, observed: FloatArray, phase: int) -> int:
-    """Phase of guidance; it only advances, so that a gust cannot undo it."""
+    """Phase of guidance; it only advances, so that a gust cannot undo it.
+
+    Source: Harpold and Graves (1979), as at the head.
+    """
     now = COAST
     if observed[MACH] < block[APPROACH_MACH]:
         now = FLARE if observed[ALTITUDE] < block[FLARE_ALTITUDE] else APPROACHING
@@ -356,7 +367,10 @@ def guidance_kernel(block: FloatArray, state: FloatArray, memory: int, observed:
 
 @njit
 def guidance_step(block: FloatArray, memory: FloatArray, observed: FloatArray, dt_s: float) -> None:
-    """One step of dt_s [s] of guidance on a host's arrays, memory (MEMORY,), by `guidance_kernel`."""
+    """One step of dt_s [s] of guidance on a host's arrays, memory (MEMORY,), by `guidance_kernel`.
+
+    Source: Harpold and Graves (1979), as at the head.
+    """
     guidance_kernel(pointer(block), pointer(memory), 0, pointer(observed), dt_s)
 
 
@@ -376,6 +390,8 @@ class EntryGuidance:
         """Angle of attack [deg] and bank about the velocity [deg], right positive, to be flown from this frame on.
 
         The rate limits act over the time since the last call; the first call returns the schedule and the first bank.
+
+        Source: Harpold and Graves (1979), as at the head.
         """
         if self._memory is None:
             self._memory = first_memory(self.block, observed.mach, observed.velocity_m_s)
@@ -390,7 +406,10 @@ class EntryGuidance:
 
 
 def guidance_events(time_s: float, sign: float, phase: float, memory: FloatArray) -> list[tuple[float, str]]:
-    """Events of guidance between two steps, (time [s], text): a new phase, a bank reversal."""
+    """Events of guidance between two steps, (time [s], text): a new phase, a bank reversal.
+
+    Source: Harpold and Graves (1979), as at the head.
+    """
     events = []
     if phase != memory[PHASE]:
         events.append((time_s, PHASE_NAMES[int(memory[PHASE])]))

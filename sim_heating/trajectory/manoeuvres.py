@@ -56,8 +56,8 @@ class Offsets(NamedTuple):
 
 
 def polygon_through(values: Iterable[tuple[float, float]], rate: float) -> Polygon:
-    """Polygon [(s, offset)] from 0 through (value, hold_s) at a rate [1/s] and back to 0; moves below SMALLEST are
-    ignored."""
+    """Polygon of (time [s], offset [deg] or [-]) from 0 through (value, hold_s) at a rate [deg/s] or [1/s] and back to
+    0; moves below SMALLEST are ignored."""
     time, last, points = 0.0, 0.0, [(0.0, 0.0)]
     for value, hold_s in (*values, (0.0, 0.0)):
         # A move of no length would be an edge of no duration, and `offsets_kernel` divides by the duration.
@@ -116,7 +116,7 @@ def polygon(manoeuvre: Manoeuvre) -> Polygon:
 
 
 def commanded_variable(manoeuvre: Manoeuvre) -> str:
-    """The command that a manoeuvre adds its offset to."""
+    """The command [deg] that a manoeuvre adds its offset to."""
     return Offsets._fields[_SHAPES[manoeuvre.kind][0]]
 
 
@@ -241,7 +241,7 @@ class ManoeuvreScript:
         return manoeuvre_windows(self.manoeuvres, self.started_s, until_s)
 
     def events(self, until_s: float = np.inf) -> list[tuple[float, str]]:
-        """Start of each manoeuvre, and at the end of the flight those whose trigger was never met."""
+        """Start [s] of each manoeuvre, and at the end of the flight those whose trigger was never met."""
         return manoeuvre_events(self.manoeuvres, self.started_s, until_s)
 
 

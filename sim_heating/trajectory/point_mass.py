@@ -95,6 +95,8 @@ def geodetic(
     """Geodetic altitude [m] and the outward normal of the ellipsoid at a point.
 
     Bowring, Survey Review 23 (1976) 323-327, one step, in sines and cosines without an angle; below 1e-6 m to 200 km.
+
+    Source: docs/theory/equations.md, equation 35.
     """
     e2 = flattening * (2.0 - flattening)
     b = radius * (1.0 - flattening)
@@ -255,6 +257,8 @@ def position_kernel(initial: FloatArray, flight: FloatArray) -> tuple[float, flo
 
     initial : (INITIAL,) altitude [m], speed [m/s], four angles [deg];  flight : block with the ellipsoid
     Source: NIMA TR8350.2 (2000), third edition, the WGS84 ellipsoid.
+
+    Source: docs/theory/equations.md, equation 35.
     """
     lat, lon = math.radians(initial[LATITUDE_0]), math.radians(initial[LONGITUDE_0])
     e2 = flight[FLATTENING] * (2.0 - flight[FLATTENING])

@@ -105,7 +105,8 @@ def read_recording(
     statement: Statement = TABLE,
     sounding: Sounding | None = None,
 ) -> FlightTable:
-    """Columns of a recorded flight by the names and units of the file, with what had to be converted or derived.
+    """Columns of a recorded flight ([s], [m], [m/s], [deg] ...) by the names and units of the file, with what had to be
+    converted or derived.
 
     statement : how a column is stated, for the message
     sounding  : air of the day

@@ -82,11 +82,11 @@ class Initial(Convertible):
         return math.sqrt(self.velocity_m_s**2 + 2.0 * G0_M_S2 * self.altitude_m) + STRONGEST_WIND_M_S
 
     def implausible(self) -> list[tuple[Location, str]]:
-        """Problems of the numbers, and of altitude and speed together."""
+        """Problems of the numbers, and of altitude [m] and speed [m/s] together."""
         return [*super().implausible(), *state_problems(self.altitude_m, self.velocity_m_s)]
 
     def unusual(self) -> list[tuple[Location, str]]:
-        """Numbers, and an entry so steep, so slow or so fast as hardly any begins."""
+        """Numbers, and an entry [deg] so steep, so slow or so fast as hardly any begins."""
         return [*super().unusual(), *entry_remarks(self.altitude_m, self.velocity_m_s, self.gamma_deg)]
 
 
@@ -528,7 +528,7 @@ class FmuSource(Convertible):
 
     @property
     def commands(self) -> set[str]:
-        """Commands of guidance and manoeuvres that the FMU takes."""
+        """Commands [deg] of guidance and manoeuvres that the FMU takes."""
         sources = {i if isinstance(i, str) else i.command for i in self.inputs.values()}
         return {command for command in sources if command is not None}
 
@@ -602,7 +602,7 @@ class TrajectorySpec(Convertible):
         return self
 
     def implausible(self) -> list[tuple[Location, str]]:
-        """Triggers of manoeuvres that a fall from the initial state never reaches."""
+        """Triggers of manoeuvres ([s], [m/s] or Mach [-]) that a fall from the initial state never reaches."""
         problems = super().implausible()
         if self.initial is None:
             return problems

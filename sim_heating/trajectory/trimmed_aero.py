@@ -62,7 +62,10 @@ def bracket_scan(block: FloatArray, start: int, points: int, x: float) -> tuple[
 @njit
 def table_cell(aero: FloatArray, mach: float, alpha_deg: float) -> TableCell:
     """Positions and bilinear weights [-] of the grid points around a Mach number [-] and an angle [deg]; constant at
-    the ends."""
+    the ends.
+
+    Source: docs/theory/equations.md, equation 36.
+    """
     machs, alphas = int(aero[MACHS]), int(aero[ALPHAS])
     width = 3 * (1 + int(aero[FLAPS]) + int(aero[ELEVONS]))
     i, u = bracket_scan(aero, AT_MACH, machs, mach)
@@ -77,13 +80,19 @@ def table_cell(aero: FloatArray, mach: float, alpha_deg: float) -> TableCell:
 
 @njit
 def cell_value(aero: FloatArray, p: TableCell, k: int) -> float:
-    """Number k of the cells, a coefficient [-], bilinear between the grid points."""
+    """Number k of the cells, a coefficient [-], bilinear between the grid points.
+
+    Source: docs/theory/equations.md, equation 36.
+    """
     return p.w00 * aero[p.c00 + k] + p.w01 * aero[p.c01 + k] + p.w10 * aero[p.c10 + k] + p.w11 * aero[p.c11 + k]
 
 
 @njit
 def moment_at_node(aero: FloatArray, p: TableCell, moment: float, arm: float, node: int) -> float:
-    """moment + dCm + arm dCN [-] with the elevon at a node of its table."""
+    """moment + dCm + arm dCN [-] with the elevon at a node of its table.
+
+    Source: docs/theory/equations.md, equation 36.
+    """
     k = 3 + 3 * int(aero[FLAPS]) + 3 * node
     return moment + cell_value(aero, p, k + 2) + arm * cell_value(aero, p, k)
 
@@ -93,6 +102,8 @@ def trim_elevon(aero: FloatArray, p: TableCell, moment: float, arm: float) -> fl
     """Elevon [deg] at which moment + dCm + arm dCN is 0; the table's end where there is none.
 
     The sum falls with deflection and is linear between nodes, so halving the nodes finds it exactly.
+
+    Source: docs/theory/equations.md, equation 36.
     """
     axis, last = int(aero[AT_ELEVON]), int(aero[ELEVONS]) - 1
     low, high, below, above = 0, last, 0.0, 0.0
@@ -146,7 +157,10 @@ def trimmed_kernel(
 
 @njit
 def polar_kernel(mach: float, alpha_deg: float, aero: FloatArray) -> tuple[float, float]:
-    """CL and CD [-] of the low-speed polar at an angle of attack [deg], its coefficients linear in Mach."""
+    """CL and CD [-] of the low-speed polar at an angle of attack [deg], its coefficients linear in Mach.
+
+    Source: docs/theory/equations.md, equation 36.
+    """
     a, last = int(aero[AT_LOW]), int(aero[AT_LOW]) + 5 * (int(aero[LOWS]) - 1)
     while a < last - 5 and mach >= aero[a + 5]:
         a += 5
@@ -186,6 +200,8 @@ def low_speed_rows(vehicle_dir: Path, below_mach: float) -> FloatArray:
     such file.
 
     raises : InputError where mach does not rise, or reaches the Mach number where the tables begin
+
+    Source: docs/theory/equations.md, equation 36.
     """
     path = Path(vehicle_dir) / "aero" / "low_speed.csv"
     if not path.exists():
@@ -199,7 +215,10 @@ def low_speed_rows(vehicle_dir: Path, below_mach: float) -> FloatArray:
 
 def aero_block(aero: Aero, low_speed: FloatArray) -> FloatArray:
     """A vehicle's tables, angles [deg] and coefficients [-], in one block for the kernels, with the layout described
-    at MACHS."""
+    at MACHS.
+
+    Source: docs/theory/equations.md, equation 36.
+    """
     # All three tables on the union of their axes, which keeps linear interpolation exact: one search for Mach and alpha
     # serves all.
     grids = (aero.basic, aero.bodyflap, aero.elevon)
@@ -215,6 +234,9 @@ def aero_block(aero: Aero, low_speed: FloatArray) -> FloatArray:
 
 def resample_grid(grid: Grid, mach: FloatArray, alpha: FloatArray) -> FloatArray:
     """Coefficients [-] of a table on finer axes of Mach [-] and alpha [deg] that contain its own; constant beyond its
-    ends."""
+    ends.
+
+    Source: docs/theory/equations.md, equation 36.
+    """
     by_mach = np.apply_along_axis(lambda v: np.interp(mach, grid.mach, v), 0, grid.values)
     return np.apply_along_axis(lambda v: np.interp(alpha, grid.alpha_deg, v), 1, by_mach)

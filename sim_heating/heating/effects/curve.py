@@ -149,7 +149,10 @@ PLACE = (
 
 
 def value_parameters(sigma: float, lower: float, upper: float, text: str) -> tuple[Parameter, ...]:
-    """Parameters of the values at the knots [-]; sigma, lower, upper : of each;  text : what a value is."""
+    """Parameters of the values at the knots [-]; sigma, lower, upper : of each;  text : what a value is.
+
+    Source: docs/reference/effects.md, equation 29.
+    """
     return tuple(Parameter(n, "1", 0.0, sigma, lower, upper, f"{text} at knot {k + 1}") for k, n in enumerate(VALUES))
 
 
@@ -202,6 +205,8 @@ def curve_band(
     raises     : InputError where a shape is wrong, or the covariance is not one of finite numbers
 
     The spline is linear in its values, so that the band is exact for a normal distribution of them.
+
+    Source: docs/reference/effects.md, equation 29.
     """
     B, C = np.asarray(values, dtype=float), np.asarray(covariance, dtype=float)
     if B.shape != (FIRST + KNOTS,) or C.shape != (KNOTS, KNOTS) or not np.all(np.isfinite(C)):

@@ -191,7 +191,8 @@ class Effect:
 
     @property
     def model_parameters(self) -> tuple[str, ...]:
-        """Dotted names of the model's parameters that its own stand for, in their order; none with a kernel."""
+        """Dotted names of the model's parameters ([-], [s] ...) that its own stand for, in their order; none with a
+        kernel."""
         return tuple(p.stands_for for p in self.parameters if isinstance(p, ModelParameter))
 
     @property
@@ -208,7 +209,8 @@ class Effect:
         return dict(zip(self.model_parameters, (p.name for p in self.parameters), strict=False)).get(model_name)
 
     def search_definitions(self) -> tuple[Parameter, ...]:
-        """Definitions of the parameters in the search for the effect, within `search_bounds`."""
+        """Definitions of the parameters, each in its unit ([-], [s], [K] ...), in the search for the effect, within
+        `search_bounds`."""
         bounds = self.search_bounds
         return tuple(
             replace(p, lower=bounds[p.name][0], upper=bounds[p.name][1]) if p.name in bounds else p
@@ -216,7 +218,8 @@ class Effect:
         )
 
     def starts_for(self, flown: Conditions) -> Sequence[SearchStart]:
-        """Starts of the search for this effect in a flight's data.
+        """Starts of the search for this effect, each value in the unit of its parameter ([-], [s], [K] ...), in a
+        flight's data.
 
         flown   : conditions of the flight, over which onsets and times are spread
         returns : starts, each completed with the effect's neutral values
@@ -229,7 +232,8 @@ class Effect:
         return [replace(s, values={**self.neutral, **s.values}) for s in starts]
 
     def active_parameters(self, names: Sequence[str], values: Mapping[str, float]) -> tuple[str, ...]:
-        """Parameters that change the heating at given values: where the effect is neutral there, its magnitudes only.
+        """Parameters that change the heating at given values, each in its unit ([-], [s], [K] ...): where the effect is
+        neutral there, its magnitudes only.
 
         names   : parameters of the effect
         values  : value of each parameter, in its unit
@@ -347,7 +351,8 @@ class EffectUse:
 
     @property
     def definitions(self) -> tuple[Parameter, ...]:
-        """Definitions of the parameters, as declared or as the effect has them, in the order of the values."""
+        """Definitions of the parameters, each in its unit ([-], [s], [K] ...), as declared or as the effect has them,
+        in the order of the values."""
         return self.declared or self.effect.parameters
 
 

@@ -300,7 +300,8 @@ class DaveModel:
         return {i: by_identifier[i] for i in self.variables}
 
     def check_problems(self) -> list[str]:
-        """Check values that the model misses by more than their tolerance, one line each."""
+        """Check values, each in the unit of its variable ([deg], [-] ...), that the model misses by more than their
+        tolerance, one line each."""
         problems = []
         for case in self.cases:
             outputs = self.evaluate({s.variable: s.value for s in case.inputs})

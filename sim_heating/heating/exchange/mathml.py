@@ -66,6 +66,8 @@ def number_of(text: str | None, subject: str) -> float:
 
     raises : InputError that says what it is of
     Source: ANSI/AIAA S-119 (2011).
+
+    Source: MathML 2.0, chapter 4.
     """
     try:
         value = float((text or "").strip())
@@ -80,6 +82,8 @@ def read_math(element: ET.Element) -> Expression:
     """The expression of an element of content MathML.
 
     raises : InputError that names an element which is none of those above, or a wrong number of arguments
+
+    Source: MathML 2.0, chapter 4.
     """
     name = local_name(element)
     if name == "math":
@@ -140,7 +144,7 @@ def _piecewise(element: ET.Element) -> Expression:
 
 
 def names_in(expression: Expression) -> Iterator[str]:
-    """Identifiers of the variables of an expression."""
+    """Identifiers of the variables of an expression. Source: MathML 2.0, chapter 4."""
     if isinstance(expression, str):
         yield expression
     elif isinstance(expression, tuple):
@@ -153,6 +157,8 @@ def evaluate(expression: Expression, values: Mapping[str, ArrayLike]) -> Any:
     """Value of an expression, in its unit, or [-]; nan where no piece holds.
 
     values : of the variables, by identifier; arrays of shapes that go together
+
+    Source: MathML 2.0, chapter 4.
     """
     if isinstance(expression, float):
         return np.float64(expression)
@@ -170,7 +176,10 @@ def evaluate(expression: Expression, values: Mapping[str, ArrayLike]) -> Any:
 
 
 def write_math(expression: Expression) -> ET.Element:
-    """The expression as an element of content MathML, without the element <math> around it."""
+    """The expression as an element of content MathML, without the element <math> around it.
+
+    Source: MathML 2.0, chapter 4.
+    """
     if isinstance(expression, float):
         element = ET.Element("cn")
         element.text = repr(expression)

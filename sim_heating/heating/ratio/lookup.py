@@ -32,6 +32,8 @@ def pack_table(table: RatioTable) -> FloatArray:
     """Flat form of a ratio table that the kernels read.
 
     returns : five axis lengths, the nodes of the axes [deg] and [-], then the ratios [-] with the last variable fastest
+
+    Source: docs/theory/equations.md, equation 7.
     """
     lengths = np.array([float(len(axis)) for axis in table.axes])
     return np.concatenate([lengths, *table.axes, np.ascontiguousarray(table.ratio).ravel()])
@@ -197,6 +199,8 @@ def invalidate_cells(B: FloatArray) -> None:
     """Invalidate the table cells that all lanes cache, after tables or temperatures of a group were set from outside.
 
     B : block of the lane group. The bounds of every cached cell are made empty, so that the next lookup searches.
+
+    Source: docs/theory/equations.md, equation 7.
     """
     for a in range(k.CELL_AXES):
         for lane in range(LANES):
@@ -212,6 +216,8 @@ def cache_axis_cell(B: FloatArray, table: FloatArray, lane: int, a: int, first: 
     table    : flat array; the n nodes of axis number a begin at `first`
     returns  : index of the cell, 0 for an axis of one value
     Bounds, lower node and inverse width are written into B; cells at the ends extend to infinity.
+
+    Source: docs/theory/equations.md, equation 7.
     """
     i, low, high, foot, inverse = 0, -FAR, FAR, 0.0, 0.0
     if n > 1:
@@ -264,9 +270,11 @@ def _interpolate_along(B: FloatArray, corners: int, into: int, half: int, a: int
 
 @force_inline
 def lanes_outside_cell(B: FloatArray, a: int) -> int:
-    """Number of pairs of lanes of which at least one has left the cached cell of axis a.
+    """Number of pairs of lanes [-] of which at least one has left the cached cell of axis a.
 
     B : block of the lane group; rows CELL_X + a, CELL_LOW + a and CELL_HIGH + a, in the unit of the axis
+
+    Source: docs/theory/equations.md, equation 7.
     """
     return lanes_outside(B, (k.CELL_X + a) * LANES, (k.CELL_LOW + a) * LANES, (k.CELL_HIGH + a) * LANES)
 

@@ -78,17 +78,17 @@ class RatioTable:
 
     @property
     def reference(self) -> str | None:
-        """Name of the reference heating that the ratio is over; None where the file states none."""
+        """Name of the reference heating that the ratio [-] is over; None where the file states none."""
         return self.header.get("reference") or None
 
     @property
     def recovery(self) -> str | None:
-        """Name of the recovery enthalpy that the ratio is reduced with, a key of RECOVERIES; None where the file states
-        none (`models.recovery_name` then says which)."""
+        """Name of the recovery enthalpy [J/kg] that the ratio is reduced with, a key of RECOVERIES; None where the file
+        states none (`models.recovery_name` then says which)."""
         return self.header.get("recovery") or None
 
     def recovery_problem(self, expected: str, reference: str) -> str | None:
-        """Why the ratio does not belong to a recovery enthalpy, as the end of a message; None where it does.
+        """Why the ratio [-] does not belong to a recovery enthalpy [J/kg], as the end of a message; None where it does.
 
         expected  : the recovery enthalpy that it is used with, a key of RECOVERIES
         reference : the reference heating that it is used with, for a table that states no recovery enthalpy

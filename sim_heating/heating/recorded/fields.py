@@ -144,7 +144,8 @@ class FlightField:
 
 
 def column_unit(column: str) -> str:
-    """Unit of a column of flight conditions by the end of its name, as pint reads it; "" for a plain number.
+    """Unit of a column of flight conditions, such as [m/s], by the end of its name, as pint reads it; "" for a plain
+    number.
 
     >>> column_unit("h_ref_kg_m2_s"), column_unit("mach"), column_unit("alpha_deg")
     ('kg/(m2.s)', '', 'deg')
@@ -161,7 +162,7 @@ QUANTITIES = tuple(dict.fromkeys(unit for column in VOCABULARY if (unit := colum
 
 
 def unit_conversion(unit: str, required: str, location: str) -> Conversion:
-    """The conversion from a unit to another one.
+    """The conversion from a unit to another one, such as [ft] to [m].
 
     location : for the message, as `popu.toml, [conditions]: altitude_m`
     raises   : InputError where pint does not know the unit, or it measures something else
@@ -176,7 +177,7 @@ def unit_conversion(unit: str, required: str, location: str) -> Conversion:
 
 
 def unit_of_name(name: str, column: str) -> str | None:
-    """The unit that a field's name states for a column, None where it states none that fits.
+    """The unit, such as [ft], that a field's name states for a column, None where it states none that fits.
 
     >>> unit_of_name("h_ft", "altitude_m"), unit_of_name("V [kts]", "velocity_m_s"), unit_of_name("v", "velocity_m_s")
     ('ft', 'kts', None)

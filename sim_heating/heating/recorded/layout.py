@@ -62,7 +62,7 @@ class FlightFields:
 
     @property
     def without_unit(self) -> list[str]:
-        """Fields of conditions whose unit is not known."""
+        """Fields of conditions whose unit, such as [m/s], is not known."""
         return [f.name for f in self.fields_without_unit.values()]
 
     @property
@@ -81,11 +81,13 @@ class FlightFields:
         fields: Mapping[str, FlightField],
         fields_without_unit: Mapping[str, FlightField],
     ) -> FlightFields:
-        """The fields of the file with other columns, and other fields that are asked for."""
+        """The fields of the file, in the units of the contract ([m], [m/s], [deg] ...), with other columns, and other
+        fields that are asked for."""
         return replace(self, columns=columns, fields=fields, fields_without_unit=fields_without_unit)
 
     def table(self, columns: Mapping[str, FloatArray]) -> CsvTable:
-        """Columns as a table whose rows are those of the file."""
+        """Columns, in the units of the contract ([m], [m/s], [deg] ...), as a table whose rows are those of the
+        file."""
         return CsvTable(dict(columns), self.header, self.path, self.lines)
 
 
@@ -120,12 +122,12 @@ def _first_names(path: Path) -> set[str]:
 
 
 def column_has(f: FlightField) -> bool:
-    """Whether the name of a field states its unit, so that a note need not."""
+    """Whether the name of a field states its unit, such as [ft], so that a note need not."""
     return not f.unit or f.unit in f.name
 
 
 def read_fields(path: Path, stated: Mapping[str, ConditionField | str] | None = None) -> FlightFields:
-    """The flight conditions of a file, by the names and units of its fields.
+    """The flight conditions of a file ([m], [m/s], [deg], [kg/m3] ...), by the names and units of its fields.
 
     stated : column -> field, field with unit, or constant, that prevails over the names
     raises : InputError, one line a problem: no rows of numbers, two fields of one column that differ, a stated field

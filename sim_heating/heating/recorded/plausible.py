@@ -95,7 +95,8 @@ THRUST_M_S2 = 0.5
 
 
 def implausible_values(table: CsvTable) -> list[str]:
-    """One line for each column of conditions with an impossible value, in another unit or in another's place.
+    """One line for each column of conditions ([m], [m/s], [deg], [kg/m3] ...) with an impossible value, in another unit
+    or in another's place.
 
     table : columns of flight conditions, `time_s`, `altitude_m` and `velocity_m_s` among them; others may be absent
     """
@@ -540,7 +541,8 @@ STEEP_DEG, GAMMA_SLOPES = 0.3, (0.6, 1.6)
 
 
 def unusual_values(table: CsvTable) -> list[str]:
-    """One line for each column that is possible and unlike that of flights: its values, neighbours, and other columns.
+    """One line for each column ([m], [m/s], [deg], [kg/m3] ...) that is possible and unlike that of flights: its
+    values, neighbours, and other columns.
 
     table : columns that `implausible_values` finds no problem in
     """

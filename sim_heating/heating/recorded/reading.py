@@ -75,7 +75,8 @@ class Statement:
     joint: str
 
     def of(self, fields_without_unit: Mapping[str, tuple[str, str]], absent: Sequence[str]) -> str:
-        """The statements of fields without unit, (name, a unit that may fit) by column, and of absent columns."""
+        """The statements of fields without unit, (name, a unit that may fit, such as [ft]) by column, and of absent
+        columns."""
         stated = [
             self.field.format(column=c, name=n, unit=u, quote='"' if " " in n else "")
             for c, (n, u) in fields_without_unit.items()
@@ -164,7 +165,10 @@ def _of_row(flight: FlightFields, line: str) -> str:
 
 def local_pressure(local_angle_deg: float | None) -> PressureModel:
     """Model of the surface pressure: modified Newtonian at an angle against the x axis [deg], else of the stagnation
-    point."""
+    point.
+
+    Source: docs/theory/equations.md, equation 30.
+    """
     if local_angle_deg is None:
         return FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
     return ModifiedNewtonian(model="modified-newtonian", inclination_deg=local_angle_deg)

@@ -123,7 +123,7 @@ class HeatingColumns(NamedTuple):
 
 
 def reference_model(name: str) -> ReferenceModel:
-    """Reference heating model of a name.
+    """Reference heating model of a name: film coefficient [kg/(m2 s)] and recovery enthalpy [J/kg].
 
     name    : a key of REFERENCE_MODELS
     raises  : InputError for an unknown name, with the nearest known one
@@ -135,7 +135,7 @@ def reference_model(name: str) -> ReferenceModel:
 
 
 def recovery_name(stated: str | None, reference: str | None) -> RecoveryName:
-    """Enthalpy that a ratio is reduced with.
+    """Name of the recovery enthalpy [J/kg] that a ratio is reduced with.
 
     stated    : a key of RECOVERIES, None where none is stated
     reference : name of the reference heating that the ratio is over, None where unknown

@@ -68,7 +68,7 @@ class Recovery:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Columns of the conditions that it reads."""
+        """Columns of the conditions that it reads ([Pa], [J/kg], [deg] ...)."""
         if self.kind == "total":
             return ()
         turned = {"elevon_deg": self.elevon_factor, "bodyflap_deg": self.bodyflap_factor}

@@ -41,7 +41,7 @@ class Archive:
     files: frozenset[str]
 
     def libraries(self) -> dict[str, list[str]]:
-        """Names of the compiled libraries in each folder of `binaries`."""
+        """Names of the compiled libraries in each folder of `binaries`. Source: FMI 2.0.4, section 2.3."""
         by_platform: dict[str, list[str]] = {}
         for name in sorted(self.files):
             top, *rest = PurePosixPath(name).parts
@@ -54,6 +54,8 @@ def read_archive(path: Path) -> Archive:
     """The table of contents of an FMU, and its XML files checked for what would flood their reader.
 
     raises : InputError, one line, where it is not an FMU or must not be unpacked
+
+    Source: FMI 2.0.4, section 2.3.
     """
     name = display_path(path)
     if path.exists() and not path.is_file():
@@ -79,6 +81,8 @@ def unpack(path: Path, folder: Path) -> None:
     """Unpack an FMU into a new folder, checked once more: the file may have changed since it was read.
 
     raises : InputError where it must not be unpacked or is damaged; OSError where there is no room
+
+    Source: FMI 2.0.4, section 2.3.
     """
     read_archive(path)
     try:

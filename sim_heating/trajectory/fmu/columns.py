@@ -87,12 +87,12 @@ NOT_A_LETTER = re.compile("[^a-z]")
 
 
 def unit_of(column: str) -> str:
-    """The unit of a column."""
+    """The unit of a column, such as [m/s]."""
     return next((unit for ending, unit in UNITS if column.endswith(ending)), "1")
 
 
 def words_of(column: str) -> str:
-    """The words of a column's name, without its unit."""
+    """The words of a column's name, without its unit: `altitude` of an altitude_m [m]."""
     return UNIT_AT_END.sub("", column).replace("_", " ")
 
 

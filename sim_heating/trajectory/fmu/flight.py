@@ -153,7 +153,7 @@ class FmuFlight:
 def fly(
     spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
-    """Fly a scenario's trajectory with the FMU of spec.file, from 0 s on.
+    """Fly a scenario's trajectory with the FMU of spec.file, from the time 0 [s] on.
 
     on_frame : called at the start and after each communication step with the values of conditions.FRAME
     progress : called every 20 s of flight with the fraction of the flight done and a line of text
@@ -257,7 +257,7 @@ class InputsOfFmu:
         self.pilot = Pilot(spec, vehicle_dir, available) if spec.fmu.commands else None
 
     def values(self, frame: Frame, step_s: float) -> list[float]:
-        """Values over the step that begins with a frame."""
+        """Values over the step that begins with a frame, each in the unit of its variable ([deg], [m] ...)."""
         commands = {} if self.pilot is None else self.pilot.commands(frame, step_s)
         return [value(frame, commands) for value in self._values]
 
@@ -266,7 +266,7 @@ class InputsOfFmu:
         return [] if self.pilot is None else self.pilot.script.windows(end_s)
 
     def events(self, end_s: float) -> list[tuple[float, str]]:
-        """Events of guidance and manoeuvres."""
+        """Events of guidance and manoeuvres, with their times [s]."""
         return [] if self.pilot is None else [*self.pilot.events, *self.pilot.script.events(end_s)]
 
 

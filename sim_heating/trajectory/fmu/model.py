@@ -45,13 +45,13 @@ class FmuModel:
 
     @cached_property
     def variables(self) -> dict[str, ModelVariable]:
-        """Variables by name in the order of the description, including aliases."""
+        """Variables by name in the order of the description, including aliases. Source: FMI 2.0.4, section 2.2.7."""
         # FMPy lists an alias of FMI 3 as a variable of its own, FMI 2 has none.
         return {v.name: v for v in self.description.modelVariables}
 
     @cached_property
     def units(self) -> dict[str, BaseUnit | None]:
-        """Units that the FMU defines."""
+        """Units that the FMU defines, such as [m/s]. Source: FMI 2.0.4, section 2.2.2."""
         return {u.name: u.baseUnit for u in self.description.unitDefinitions}
 
     @property
@@ -90,9 +90,12 @@ class FmuModel:
         return variable
 
     def scale(self, variable: ModelVariable, unit: str | None, where: str) -> Scale:
-        """The unit of a variable: that of the scenario, which must agree with the FMU's, or else the FMU's own.
+        """The unit of a variable, such as [m/s]: that of the scenario, which must agree with the FMU's, or else the
+        FMU's own.
 
         raises : InputError where the unit is unknown, declared nowhere, or declared differently
+
+        Source: FMI 2.0.4, section 2.2.2.
         """
         name = self.unit_name(variable)
         stated = None if unit is None else known_unit(unit)
@@ -114,13 +117,18 @@ class FmuModel:
 
     @staticmethod
     def unit_name(variable: ModelVariable) -> str | None:
-        """The unit that the FMU declares for a variable or its type."""
+        """The unit, such as [m/s], that the FMU declares for a variable or its type.
+
+        Source: FMI 2.0.4, section 2.2.2.
+        """
         return variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
 
     def conversion(self, variable: ModelVariable, unit: str | None, required: str, where: str) -> Conversion:
-        """Conversion from a variable's unit to a required one; none is needed for a plain number.
+        """Conversion from a variable's unit to a required one, such as [ft] to [m]; none is needed for a plain number.
 
         raises : InputError where their dimensions differ
+
+        Source: FMI 2.0.4, section 2.2.2.
         """
         # A number without unit, such as the jets, is taken as it is; any quantity with a dimension needs a known unit.
         if unit is None and required in NO_DIMENSION and self.unit_name(variable) is None:
@@ -136,9 +144,11 @@ class FmuModel:
         return result
 
     def start_values(self, source: FmuSource) -> dict[str, Value]:
-        """The scenario's start values in the FMU's units, in the order of the FMU's variables.
+        """The scenario's start values in the FMU's units ([m], [rad] ...), in the order of the FMU's variables.
 
         raises : InputError, all problems at once
+
+        Source: FMI 2.0.4, section 2.2.7.
         """
         values: dict[str, Value] = {}
         problems: list[str] = []
@@ -188,6 +198,8 @@ def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
 
     raises : InputError where the file is not an FMU of a supported version, must not be unpacked, lacks the interface,
              or has no library for this platform
+
+    Source: FMI 2.0.4, section 2.2.
     """
     name = display_path(path)
     archive = read_archive(path)
@@ -264,6 +276,8 @@ def accepted_value(variable: ModelVariable, value: Value) -> bool | int | float:
     """A scenario's value converted to the type of a variable.
 
     raises : InputError with the allowed values where the variable does not take it
+
+    Source: FMI 2.0.4, section 2.2.3.
     """
     text = str(value).lower() if isinstance(value, bool) else str(value)
     if variable.type == "Boolean":
@@ -287,7 +301,7 @@ def accepted_value(variable: ModelVariable, value: Value) -> bool | int | float:
 
 
 def item_named(variable: ModelVariable, name: str) -> int | None:
-    """The number of an enumeration's item, None without one of this name."""
+    """The number of an enumeration's item, None without one of this name. Source: FMI 2.0.4, section 2.2.3."""
     return next((number for number, item in _items(variable).items() if item == name), None)
 
 

@@ -98,7 +98,10 @@ class Instance:
             getattr(self.fmu, "set" + kind)([reference], [value])
 
     def values(self) -> list[float]:
-        """The outputs as numbers, in the order asked for."""
+        """The outputs as numbers in the FMU's units ([m], [rad] ...), in the order asked for.
+
+        Source: FMI 2.0.4, section 2.1.7.
+        """
         outputs = [0.0] * sum(len(indices) for _, _, indices in self.read)
         for method, references, indices in self.read:
             for index, value in zip(indices, getattr(self.fmu, method)(references), strict=True):
@@ -106,14 +109,14 @@ class Instance:
         return outputs
 
     def put(self, values: list[float]) -> None:
-        """Set the inputs, in the order given."""
+        """Set the inputs, in the FMU's units ([m], [rad] ...), in the order given. Source: FMI 2.0.4, section 2.1.7."""
         for method, references, indices in self.inputs:
             is_integer = "Float" not in method and "Real" not in method
             chosen = [round(values[p]) if is_integer else values[p] for p in indices]
             getattr(self.fmu, method)(references, chosen)
 
     def step(self, time_s: float, step_s: float) -> tuple[float, bool]:
-        """Advance by a step; the time reached, and whether the FMU requests the end."""
+        """Advance by a step [s]; the time reached [s], and whether the FMU requests the end."""
         raise NotImplementedError
 
 

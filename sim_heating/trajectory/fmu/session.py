@@ -142,6 +142,8 @@ class FmuSession:
         model           : FmuModel.process_description
         start           : (type, value reference, value) to be set when "instantiated", and in "initialization" mode
         inputs, outputs : (type, value reference) of the variables of each step
+
+        Source: FMI 2.0.4, section 2.1.6.
         """
         request = {
             "folder": str(self._folder / "fmu"), "model": dict(model), "start": dict(start),
@@ -150,7 +152,10 @@ class FmuSession:
         return self._request(request, "while it was instantiated and initialised")
 
     def step(self, time_s: float, step_s: float, inputs: Sequence[float]) -> Answer:
-        """One communication step from time_s [s] with inputs held at the given values."""
+        """One communication step from time_s [s] with inputs held at the given values.
+
+        Source: FMI 2.0.4, section 4.2.2.
+        """
         request = {"time_s": time_s, "step_s": step_s, "inputs": list(inputs)}
         return self._request(request, f"in its step at {time_s:.9g} s")
 

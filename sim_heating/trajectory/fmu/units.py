@@ -28,15 +28,17 @@ BASE = {
 
 
 def defined_unit(base: BaseUnit) -> Scale:
-    """The unit that an FMU defines."""
+    """The unit that an FMU defines, such as [m/s]. Source: FMI 2.0.4, section 2.2.2; FMI 3.0.2, section 2.4.4."""
     exponents = {long: getattr(base, short) for short, long in BASE.items()}
     return Scale(dimension_of(exponents), float(base.factor), float(base.offset))
 
 
 def unit_of_fmu(name: str, definition: BaseUnit | None) -> Scale:
-    """The scale of a unit that an FMU names, by its own definition where it gives one.
+    """The scale of a unit that an FMU names, such as [ft], by its own definition where it gives one.
 
     raises : InputError where the unit is unknown, or its definition is unusable or contradicts the name
+
+    Source: FMI 2.0.4, section 2.2.2; FMI 3.0.2, section 2.4.4.
     """
     usual = known_unit(name)
     if definition is None:

@@ -132,7 +132,7 @@ class JSBSimEntry:
             raise RunError(f"JSBSim: the vehicle hit the ground {self.host.describe()}; give a stop before that")
 
     def command(self) -> None:
-        """Renew the commands from the latest observation."""
+        """Renew the commands [deg] from the latest observation."""
         observed = self.observed
         alpha_deg, bank_deg = self._guidance.command(observed)
         offsets = self._script.offsets(observed.time_s, observed.velocity_m_s, observed.mach)
@@ -140,7 +140,7 @@ class JSBSimEntry:
         self._in_manoeuvre = self._script.active(observed.time_s, AFTER_MANOEUVRE_S)
 
     def step(self, on_frame: OnFrame | None = None) -> None:
-        """Advance one frame and store a sample when it is due."""
+        """Advance one frame [s] and store a sample when it is due."""
         host = self.host
         host.step()
         if on_frame is not None:
@@ -157,7 +157,7 @@ class JSBSimEntry:
         return self.spec.stop.fraction_done(first, now.velocity_m_s, now.time_s)
 
     def flight(self) -> Flight:
-        """Samples, events and manoeuvres so far."""
+        """Samples ([s], [m], [m/s], [deg] ...), events and manoeuvres so far."""
         end_s = self.host.time_s
         events = [*self._guidance.events, *self._script.events(end_s)]
         windows = self._script.windows(end_s)

@@ -170,6 +170,8 @@ class JSBSimHost:
         """A property that exists, as a node: `get_double_value()` and `set_double_value(x)` cost 0.02 us.
 
         raises : InputError with the nearest name where there is no such property
+
+        Source: Berndt (2004), as at the head.
         """
         node = self.fdm.get_property_manager().get_node(name)
         if node is None:
@@ -182,7 +184,8 @@ class JSBSimHost:
         return self.node(name).get_double_value
 
     def publish(self, name: str) -> jsbsim.FGPropertyNode:
-        """A property made where it is missing, to be written each frame: `heating/nose/surface-K`.
+        """A property made where it is missing, to be written each frame in its unit, such as [K]:
+        `heating/nose/surface-K`.
 
         raises : InputError where JSBSim cannot have a property of that name
         """
@@ -194,7 +197,10 @@ class JSBSimHost:
 
     def start(self, state: InitialState) -> None:
         """Put the vehicle at a state ([m], [m/s], [deg]) at 0 s, without rotation; commands must have been written
-        before."""
+        before.
+
+        Source: Berndt (2004), as at the head.
+        """
         air = None if self._air is None else self._air.write(state.altitude_m)
         for name, value in _initial_conditions(state, (0.0, 0.0) if air is None else air).items():
             self.node(f"ic/{name}").set_double_value(value)
@@ -204,10 +210,12 @@ class JSBSimHost:
         self.frames = 0
 
     def step(self) -> None:
-        """One frame.
+        """One frame, of dt_s [s].
 
         raises : RunError with time and state where the vehicle left the atmosphere, hit the ground or its state is not
         finite
+
+        Source: Berndt (2004), as at the head.
         """
         # The air of the frame to come: at its end the vehicle is at this altitude, not at the last one.
         altitude_m = (self._altitude_ft() + self._climb_fps() / self.rate_hz) * FT_M
@@ -221,7 +229,10 @@ class JSBSimHost:
 
     def read_frame(self, buffer: FloatArray | None = None) -> FloatArray:
         """The columns of conditions.FRAME ([s], [m], [m/s], [deg], [kg/m3]) after the last frame, into buffer or into
-        `frame_values`."""
+        `frame_values`.
+
+        Source: Berndt (2004), as at the head.
+        """
         out: FloatArray | memoryview[float] = self._frame_view if buffer is None else buffer
         out[0] = self.frames / self.rate_hz
         for i, get, factor in self._reads:
@@ -229,7 +240,7 @@ class JSBSimHost:
         return self.frame_values if buffer is None else buffer
 
     def describe(self) -> str:
-        """Time and state as text, for messages."""
+        """Time [s] and state ([m], [m/s], [deg]) as text, for messages."""
         f = dict(zip(FRAME, self.read_frame(np.zeros(len(FRAME))).tolist(), strict=True))
         return (
             f"at {f['time_s']:.2f} s: altitude {f['altitude_m'] / 1e3:.2f} km, velocity {f['velocity_m_s']:.0f} m/s, "

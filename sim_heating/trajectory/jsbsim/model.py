@@ -49,11 +49,14 @@ def control_path(vehicle_dir: Path) -> Path:
 
 
 def write_aircraft(aero: Aero, vehicle_dir: Path, folder: Path) -> str:
-    """Write the vehicle for JSBSim into a folder, for `set_aircraft_path`; returns the name for `load_model`.
+    """Write the vehicle for JSBSim, in [kg], [m] and [deg], into a folder, for `set_aircraft_path`; returns the name
+    for `load_model`.
 
     aero        : aerodynamics with the mass and centre of gravity to be flown
     vehicle_dir : its `jsbsim/attitude_control.xml` is copied
     raises      : InputError where the vehicle has no attitude control, or JSBSim cannot read it
+
+    Source: Berndt (2004), as at the head.
     """
     control = control_path(vehicle_dir)
     if not control.is_file():
@@ -118,6 +121,8 @@ def aircraft_xml(aero: Aero) -> str:
     """The JSBSim configuration of a vehicle as text, in [kg], [m] and [deg].
 
     raises : InputError where a table holds a value that is not finite
+
+    Source: Berndt (2004), as at the head.
     """
     root = _element(
         "fdm_config",

@@ -127,7 +127,8 @@ class Commands:
     def initialise(
         self, alpha_deg: float, bank_deg: float, elevon_deg: float, mach: float, velocity_m_s: float
     ) -> None:
-        """Set the commands before the start, with the lags of the control in steady state and the elevon in trim."""
+        """Set the commands [deg] before the start, with the lags of the control in steady state and the elevon in
+        trim."""
         self.write(alpha_deg, bank_deg, Offsets(), mach, velocity_m_s)
         for state in ("lag1", "lag2", "ref"):
             self._host.node(f"control/alpha-{state}-deg").set_double_value(alpha_deg)
