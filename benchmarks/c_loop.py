@@ -34,9 +34,11 @@ PEERS = {
 }
 """The C by the flags that it is compiled with; the last two only show which width of vectors is its limit."""
 TEXTS = {
-    "strict": "strict", "fast": "-Ofast", "narrow": "strict without AVX-512",
+    "strict": "strict",
+    "fast": "-Ofast",
+    "narrow": "strict without AVX-512",
     "wide": "strict, vectors of 512 bits",
-}  # fmt: skip
+}
 HEATED = (FILM, RECOVERY, ADDED, PCOL, PFRAC)
 """Rows of the surface, in the order in which the C library reads them."""
 

@@ -42,8 +42,10 @@ def run() -> list[Figure]:
         truths = {f["name"]: _truth(out / "records" / f["name"]) for f in report["flights"]}
     figures = [
         Figure("whole campaign, all cores", seconds, "s"),
-        *_findings(report, truths), *_estimates(report, truths), *_tables(report),
-    ]  # fmt: skip
+        *_findings(report, truths),
+        *_estimates(report, truths),
+        *_tables(report),
+    ]
     save("campaign", figures, {"report": {k: report[k] for k in ("closed", "updates", "refused", "omitted", "errors")}})
     return figures
 

@@ -72,9 +72,12 @@ def _rate_1_s(entry: DispersedEntry, workers: int) -> float:
     times_s: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         run_batches(
-            _jobs(workers * SHORT), entry, Path(folder), workers=workers,
+            _jobs(workers * SHORT),
+            entry,
+            Path(folder),
+            workers=workers,
             progress=lambda fraction, text: times_s.append(time.perf_counter()),
-        )  # fmt: skip
+        )
     steady = times_s[1 + 2 * workers : -1 : workers]
     return workers * BATCH * (len(steady) - 1) / (steady[-1] - steady[0])
 

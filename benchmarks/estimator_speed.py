@@ -264,10 +264,11 @@ def side_by_side() -> list[Figure]:
     )
     shown = f"coating, {', '.join(kernels)}"
     return [
-        Figure("eight candidates over one record evaluated side by side", times.best("together") * 1e3, "ms",
-               note=shown),
+        Figure(
+            "eight candidates over one record evaluated side by side", times.best("together") * 1e3, "ms", note=shown
+        ),
         Figure("the same one after the other / side by side", times.ratio("alone", "together"), "x"),
-    ]  # fmt: skip
+    ]
 
 
 def run() -> list[Figure]:

@@ -232,12 +232,15 @@ def _instances(vehicle: Vehicle, work: Path) -> list[Figure]:
         Figure("a serialised state", 1e-3 * found["state_bytes"], "kB", 64.0, note=points),
         Figure("a state taken, over a step", found["get_us"] / step, "x", 1.0, note=f"{found['get_us']:.1f} us"),
         Figure(
-            "a state restored, over a step", found["set_us"] / step, "x", 1.0,
+            "a state restored, over a step",
+            found["set_us"] / step,
+            "x",
+            1.0,
             note=f"{found['set_us']:.1f} us with what the next step does for it",
         ),
         Figure("a step of two instances in turn", found["two_us"], "us", note=f"{step:.1f} us of one alone"),
         Figure("a step of 40 instances in turn", found["many_us"], "us", note=f"{step:.1f} us of one alone"),
-    ]  # fmt: skip
+    ]
 
 
 def run() -> list[Figure]:

@@ -205,8 +205,11 @@ def inverted(record: Record, fitted: Model) -> Deposit:
     board = record.declared.stack.layer[1]
     material = record.declared.materials[MATERIAL]
     depth = np.linspace(0.0, board.thickness_m, 61)
-    deep = [s.model_copy(update={"name": f"x{i}", "column": f"x{i}_K", "depth_m": float(x), "used": True})
-            for i, x in enumerate(depth) for s in record.sensors[:1]]  # fmt: skip
+    deep = [
+        s.model_copy(update={"name": f"x{i}", "column": f"x{i}_K", "depth_m": float(x), "used": True})
+        for i, x in enumerate(depth)
+        for s in record.sensors[:1]
+    ]
     thermocouples = record.declared.thermocouples.model_copy(update={"sensor": deep})
     columns = {"time_s": record.time_s} | {s.column: np.full(len(record.time_s), 300.0) for s in deep}
     probed = replace(

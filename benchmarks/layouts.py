@@ -38,13 +38,17 @@ SPELLINGS = {
     "degR": ["degR", "deg R", "°R", "Rankine", "R"],
 }
 FROM_K: dict[str, Callable[[FloatArray], FloatArray]] = {
-    "degC": lambda T: T - 273.15, "degF": lambda T: (T - 273.15) * 1.8 + 32.0, "K": lambda T: T,
+    "degC": lambda T: T - 273.15,
+    "degF": lambda T: (T - 273.15) * 1.8 + 32.0,
+    "K": lambda T: T,
     "degR": lambda T: T * 1.8,
-}  # fmt: skip
+}
 TO_K: dict[str, Callable[[float], float]] = {
-    "degC": lambda T: T + 273.15, "degF": lambda T: (T - 32.0) / 1.8 + 273.15, "K": lambda T: T,
+    "degC": lambda T: T + 273.15,
+    "degF": lambda T: (T - 32.0) / 1.8 + 273.15,
+    "K": lambda T: T,
     "degR": lambda T: T / 1.8,
-}  # fmt: skip
+}
 NO_TEMPERATURE = ["mV", "counts", "Ohm", "xyz", "deg", "W"]
 """Units that a file may state of a thermocouple, by which it holds no temperatures: these are to be refused."""
 FAULTS = ("two numbers", "two signs", "letters amid digits")

@@ -64,8 +64,11 @@ def _alarms(sizes: Sizes, progress: Progress) -> Part:
 
 
 PARTS: dict[str, Callable[[Sizes, Progress], Part]] = {
-    "speed": _speed, "exact": _exact, "bad links": _bad, "alarms": _alarms,
-}  # fmt: skip
+    "speed": _speed,
+    "exact": _exact,
+    "bad links": _bad,
+    "alarms": _alarms,
+}
 
 
 def run(sizes: Sizes | None = None, parts: tuple[str, ...] = tuple(PARTS), progress: Progress = print) -> list[Figure]:

@@ -79,7 +79,7 @@ def speed() -> list[Figure]:
         Figure("all over filter and smoother once", times.ratio("all", "smoother"), "-", 4.0),
         Figure("rise of the ratio recovered", rise, "1", note=f"sigma there {np.mean(found.sigma[during]):.2g}"),
         Figure("half amplitude", found.input.half_amplitude_Hz, "Hz"),
-    ]  # fmt: skip
+    ]
 
 
 def filtered(problem: FitProblem, known: Disturbance) -> None:

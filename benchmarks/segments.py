@@ -144,8 +144,10 @@ def run() -> list[Figure]:
             found[case].append(part)
     figures: list[Figure] = []
     for case, parts in found.items():
-        figures += figures_of(case, Repetitions(*(np.concatenate([getattr(p, f) for p in parts])
-                                                  for f in Repetitions.__dataclass_fields__)))  # fmt: skip
+        figures += figures_of(
+            case,
+            Repetitions(*(np.concatenate([getattr(p, f) for p in parts]) for f in Repetitions.__dataclass_fields__)),
+        )
     save("segments", figures)
     return figures
 

@@ -132,11 +132,13 @@ def _commands() -> list[Figure]:
         figures += [
             Figure(f"{name}, wall", wall, "s", max(command.goal_s, GOAL_OVER_FLOOR * floor)),
             Figure(
-                f"{name}, processor", processor, "s",
+                f"{name}, processor",
+                processor,
+                "s",
                 note=f"floor {floor:.2f} s: libraries {libraries:.2f}, kernels {kernels:.2f}, JSBSim {jsbsim:.2f}",
             ),
             Figure(f"{name}, processor over floor", processor / floor, ""),
-        ]  # fmt: skip
+        ]
     return figures
 
 
@@ -185,8 +187,11 @@ def _first_ever() -> list[Figure]:
         start = time.perf_counter()
         subprocess.run(
             [python, "-m", "sim_heating", "demo", "--out", str(Path(folder) / "out")],
-            check=True, cwd=copy, capture_output=True, env=_without_compiled(Path(folder) / "home"),
-        )  # fmt: skip
+            check=True,
+            cwd=copy,
+            capture_output=True,
+            env=_without_compiled(Path(folder) / "home"),
+        )
         demo = time.perf_counter() - start
     return [
         Figure("installation of the README's first command, wheels cached, wall", installed, "s", INSTALLED_S),

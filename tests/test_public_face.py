@@ -92,8 +92,11 @@ def test_what_users_are_shown_uses_the_public_face_alone(code: str):
             assert not [a.name for a in node.names if a.name.startswith("sim_heating.")]
     aliases = {a.asname or a.name for n in ast.walk(tree) if isinstance(n, ast.Import)
                for a in n.names if a.name == "sim_heating"}  # fmt: skip
-    used = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)
-            and n.value.id in aliases}  # fmt: skip
+    used = {
+        n.attr
+        for n in ast.walk(tree)
+        if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name) and n.value.id in aliases
+    }
     assert used <= set(sh.__all__)
 
 

@@ -85,8 +85,10 @@ def claims() -> list[dict[str, Any]]:
 
 def command_of(file: str) -> str:
     """Command that writes a result file, named without its folder and ending."""
-    command = {"closure_challenge_null": ".closure_challenge --classes null",
-               "closure_challenge_share": ".closure_challenge --share 0.2"}.get(file, f" {file}")  # fmt: skip
+    command = {
+        "closure_challenge_null": ".closure_challenge --classes null",
+        "closure_challenge_share": ".closure_challenge --share 0.2",
+    }.get(file, f" {file}")
     return f"python -m benchmarks{command}"
 
 
@@ -156,8 +158,9 @@ def counted(found: Mapping[str, Any]) -> list[Figure]:
     """How many topics have verification rows, and the errors of the measured data sets."""
     counts = found["verification"]["topics"]
     figures = [Figure("topics with verification rows", float(sum(t["rows"] > 0 for t in counts.values())), "")]
-    figures.append(Figure("topics with a row beyond its limit", sum(t["rows"] != t["within"] for t in counts.values()),
-                          "", 0.0))  # fmt: skip
+    figures.append(
+        Figure("topics with a row beyond its limit", sum(t["rows"] != t["within"] for t in counts.values()), "", 0.0)
+    )
     figures += [Figure(f"{c['name']}: RMSE of the declared prediction", c["rmse_K"], "K") for c in found["cases"]]
     return figures
 

@@ -105,12 +105,14 @@ def sts96_entries(results: Results) -> str:
     rows = []
     for entry in ("", *names):
         start = f"{entry}, STS96_" if entry else "STS96_"
-        rows.append([
-            entry or "nothing",
-            ", ".join(_over(f.value(f"{start}{t}: RMSE after/before")) for t in TILES),
-            ", ".join(f"{float(f.noted(f'{start}{t}: RMSE after/before', 'log10 Re')):.2f}" for t in TILES),
-            ", ".join(f"{f.value(f'{start}{t}: onset apart from the rise'):.0f}" for t in TILES),
-        ])  # fmt: skip
+        rows.append(
+            [
+                entry or "nothing",
+                ", ".join(_over(f.value(f"{start}{t}: RMSE after/before")) for t in TILES),
+                ", ".join(f"{float(f.noted(f'{start}{t}: RMSE after/before', 'log10 Re')):.2f}" for t in TILES),
+                ", ".join(f"{f.value(f'{start}{t}: onset apart from the rise'):.0f}" for t in TILES),
+            ]
+        )
     tiles = ", ".join(TILES)
     head = ("changed", f"after over before: {tiles}", "onset log10 Re", "onset apart from the rise, s")
     return markdown_table(head, rows)
@@ -139,12 +141,15 @@ def end_to_end_truths(results: Results) -> str:
                 f"{_median_worst(others)} of {len(others)}",
             ])  # fmt: skip
     head = (
-        "truth", "fitted", "errors within 2 sigma (0.95 expected)", "median error, sigma (0.67 expected)",
+        "truth",
+        "fitted",
+        "errors within 2 sigma (0.95 expected)",
+        "median error, sigma (0.67 expected)",
         "RMSE with the tables before, of the fit, with the tables after, after from entry (medians, noise floors)",
         "tables after over fit (median, worst)",
         "same manoeuvres with other noise, after over before (median, worst)",
         "manoeuvres that were not fitted, after over before (median, worst)",
-    )  # fmt: skip
+    )
     return markdown_table(head, rows)
 
 
@@ -267,11 +272,14 @@ def ground_step_fluxes(results: Results) -> str:
             f"{flux}: sigma of {name}"
             for name in ("stack.coating.thickness_factor", "stack.rsi.conductivity_factor", "clock.skew")
         )
-        rows.append([
-            flux, f"{f.noted(coating, 'hottest thermocouple')} K",
-            *(f"{f.noted(w, '')} +- {f.value(w):.{n}f}" for w, n in ((coating, 3), (conductivity, 4), (clock, 3))),
-            f"{f.value(f'{flux}: {skew}'):.2f}",
-        ])  # fmt: skip
+        rows.append(
+            [
+                flux,
+                f"{f.noted(coating, 'hottest thermocouple')} K",
+                *(f"{f.noted(w, '')} +- {f.value(w):.{n}f}" for w, n in ((coating, 3), (conductivity, 4), (clock, 3))),
+                f"{f.value(f'{flux}: {skew}'):.2f}",
+            ]
+        )
     head = ("absorbed flux", "hottest reading", "coating factor", "conductivity factor", "skew, s", skew)
     return markdown_table(head, rows)
 
@@ -293,9 +301,11 @@ def segments_starts(results: Results) -> str:
     """Coverage of consecutive segments by their start."""
     f = Figures(results)
     starts = {
-        "record begins at 450 s": "record begins late", "`profile:450`": "profile start",
-        "`circuit:450`": "circuit start", "`filter:450`": "filter start",
-    }  # fmt: skip
+        "record begins at 450 s": "record begins late",
+        "`profile:450`": "profile start",
+        "`circuit:450`": "circuit start",
+        "`filter:450`": "filter start",
+    }
     rows = []
     for title, start in starts.items():
         row = [title]
@@ -357,12 +367,15 @@ def kaowool_mechanisms(results: Results) -> str:
     for title, mechanism in MECHANISMS.items():
         whats = [f"{mechanism}: RMSE {joint}" for joint in JOINTS]
         values = f.note(whats[0]).partition("; ")[2].removeprefix("d0 ")
-        rows.append([
-            title, ", ".join(f"{f.value(w):.1f}" for w in whats),
-            ", ".join(f.noted(w, "") for w in whats),
-            ", ".join(f"{round(float(f.noted(w, 'mean late'))) or 0:+d}".replace("+0", "0") for w in whats),
-            re.sub(r" \+- 0(?![.\d])", " (bound)", values),
-        ])  # fmt: skip
+        rows.append(
+            [
+                title,
+                ", ".join(f"{f.value(w):.1f}" for w in whats),
+                ", ".join(f.noted(w, "") for w in whats),
+                ", ".join(f"{round(float(f.noted(w, 'mean late'))) or 0:+d}".replace("+0", "0") for w in whats),
+                re.sub(r" \+- 0(?![.\d])", " (bound)", values),
+            ]
+        )
     head = ("model", "whole", "first 150 s", "late", "convection, then what else is found")
     return markdown_table(head, rows)
 

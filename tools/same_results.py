@@ -273,9 +273,12 @@ def main() -> None:
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--python", default=sys.executable, show_default=True, help="interpreter that runs the commands")
 @click.option(
-    "--repository", type=click.Path(path_type=Path, exists=True, file_okay=False), default=Path(), show_default=True,
+    "--repository",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    default=Path(),
+    show_default=True,
     help="checkout whose package, scenarios and vehicles are used",
-)  # fmt: skip
+)
 @click.option("--only", multiple=True, metavar="NAME", help="run this command of the list; may be given again")
 def run(out: Path, python: str, repository: Path, only: tuple[str, ...]) -> None:
     """Run the list of commands, and keep everything that they write in OUT."""

@@ -27,9 +27,11 @@ from sim_heating.march.history import march_points, values_at
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "scenarios" / "records" / "tunnel_plate"
 MATERIALS = {
-    "frsi-coating": "orbiter/materials", "frsi-felt": "orbiter/materials", "al2024": "orbiter/materials",
+    "frsi-coating": "orbiter/materials",
+    "frsi-felt": "orbiter/materials",
+    "al2024": "orbiter/materials",
     "ss304": "materials",
-}  # fmt: skip
+}
 SEED = 10
 LAG_S = 3.0
 """Lag that the founding paper reports of the tunnel's thermocouple [s]."""
@@ -49,8 +51,11 @@ def declaration() -> RecordFile:
     files = {name: ROOT / "aircraft_data" / folder / f"{name}.toml" for name, folder in MATERIALS.items()}
     steel = {"initial": "uniform", "initial_K": WALL_K, "back": "adiabatic",
              "layer": [{"material": "ss304", "thickness_m": 0.003175}]}  # fmt: skip
-    felt = [{"material": "frsi-coating", "thickness_m": 0.000178}, {"material": "frsi-felt", "thickness_m": 0.0102},
-            {"material": "al2024", "thickness_m": 0.0025}]  # fmt: skip
+    felt = [
+        {"material": "frsi-coating", "thickness_m": 0.000178},
+        {"material": "frsi-felt", "thickness_m": 0.0102},
+        {"material": "al2024", "thickness_m": 0.0025},
+    ]
     data: dict[str, Any] = {
         "format": "flight-record/1",
         "title": "felt behind a steel leading edge, pitched in a wind tunnel",

@@ -179,10 +179,13 @@ class Peer:
         """Every group at the temperatures that the ensemble had."""
         for group, packed in zip(self._groups, self._packed, strict=True):
             self._library.set_up(
-                ctypes.c_void_p(group[1]), ctypes.c_long(packed.nodes), ctypes.c_long(len(self._log10_p)),
-                ctypes.c_void_p(_address(self._table)), ctypes.byref(self._materials),
+                ctypes.c_void_p(group[1]),
+                ctypes.c_long(packed.nodes),
+                ctypes.c_long(len(self._log10_p)),
+                ctypes.c_void_p(_address(self._table)),
+                ctypes.byref(self._materials),
                 *(ctypes.c_void_p(_address(a)) for a in packed.arguments),
-            )  # fmt: skip
+            )
 
     def march(self, time_s: FloatArray, history: FloatArray) -> None:
         """All groups through one flight, history (time, condition); no history of temperatures is kept."""

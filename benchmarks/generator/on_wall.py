@@ -162,9 +162,11 @@ def _draw_radiative(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 def _radiative(case: Case, form: str, p: Parameters) -> Nature:
     T = np.array(DENSE_K) / 1000.0
     forms = {
-        "cubic": T**3, "quartic": T**4, "cubic-above": np.maximum(T**3 - 0.6**3, 0.0),
+        "cubic": T**3,
+        "quartic": T**4,
+        "cubic-above": np.maximum(T**3 - 0.6**3, 0.0),
         "linear-above": np.maximum(T - 0.6, 0.0) / 0.4,
-    }  # fmt: skip
+    }
     more = p["k_rad"] * forms[form]
     materials = deepcopy(case.point.materials)
     felt = materials[case.point.stack["layer"][1]["material"]]

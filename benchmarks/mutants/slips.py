@@ -228,8 +228,9 @@ def _change(path: Path, name: str, kind: str) -> bool:
         stream = io.StringIO()
         csv.writer(stream, lineterminator="\n").writerows([names, *body])
         new = "".join(f"{line}\n" for line in lines[:first]) + stream.getvalue()
-        changed = any(float(a[i]) != float(b[i]) for a, b in
-                      zip(body, list(csv.reader(lines[first:]))[1:], strict=True) if a[i])  # fmt: skip
+        changed = any(
+            float(a[i]) != float(b[i]) for a, b in zip(body, list(csv.reader(lines[first:]))[1:], strict=True) if a[i]
+        )
     else:
         data = tomllib.loads(text)
         before = copy.deepcopy(data)

@@ -124,8 +124,11 @@ def _left(leader: int, place: Path) -> list[str]:
         with contextlib.suppress(ProcessLookupError):
             os.kill(process, signal.SIGKILL)
     names = sorted(p.relative_to(place).as_posix() for p in (place / "tmp").iterdir())
-    names += [p.relative_to(place).as_posix() for p in (place / "out").rglob("*")
-              if p.name.endswith(".lock") or ".partial" in p.name]  # fmt: skip
+    names += [
+        p.relative_to(place).as_posix()
+        for p in (place / "out").rglob("*")
+        if p.name.endswith(".lock") or ".partial" in p.name
+    ]
     if names:
         faults.append(f"left behind: {', '.join(names[:3])}")
     if (place / "out" / MARKER).exists() and results_digest(place / "out") is None:

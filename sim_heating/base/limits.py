@@ -359,7 +359,7 @@ USUAL: dict[str, Usual] = {
         "temperature_K": (100.0, 3000.0, "walls in flight and thermocouples in tests"),
         "wall_K": (100.0, 3000.0, "walls in flight"),
     }.items()
-}  # fmt: skip
+}
 """Key of a declared file, column, or name that a model gives a number -> range of its values in fact, with its source.
 
 A quantity that is absent here has its impossible range alone."""

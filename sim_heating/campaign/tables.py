@@ -151,19 +151,21 @@ def _predict_all(result: CampaignResult, revised: Vehicle, progress: Progress) -
         chosen = record.with_fit([segment])
         start = None if row is None or "failed" in row else _start(result, row)
         vehicles = {"before": result.campaign.vehicle, "after": revised}
-        result.errors.append({
-            "flight": flight.name,
-            "control_point": point,
-            "manoeuvre": manoeuvre.name,
-            "check": flight.name in result.checks,
-            **{f"{when}_K": rmse_with_tables_K(chosen, v) for when, v in vehicles.items()},
-            **{
-                f"{when}_from_start_K": None if start is None else rmse_with_tables_K(chosen, v, start)
-                for when, v in vehicles.items()
-            },
-            "fit_K": None if row is None or "failed" in row else row["rmse_K"],
-            "noise_floor_K": chosen.noise_floor_K(),
-        })  # fmt: skip
+        result.errors.append(
+            {
+                "flight": flight.name,
+                "control_point": point,
+                "manoeuvre": manoeuvre.name,
+                "check": flight.name in result.checks,
+                **{f"{when}_K": rmse_with_tables_K(chosen, v) for when, v in vehicles.items()},
+                **{
+                    f"{when}_from_start_K": None if start is None else rmse_with_tables_K(chosen, v, start)
+                    for when, v in vehicles.items()
+                },
+                "fit_K": None if row is None or "failed" in row else row["rmse_K"],
+                "noise_floor_K": chosen.noise_floor_K(),
+            }
+        )
 
 
 def _start(result: CampaignResult, row: Mapping[str, Any]) -> FittedStart | None:

@@ -182,9 +182,7 @@ def progress_line(title: str) -> Iterator[Callable[[float, str], None]]:
         yield _progress_text(title)
         return
     texts = (TextColumn(field, markup=False) for field in ("{task.description}", "{task.fields[text]}"))
-    columns = (
-        next(texts), BarColumn(), TaskProgressColumn(), next(texts), TimeElapsedColumn(), TimeRemainingColumn()
-    )  # fmt: skip
+    columns = (next(texts), BarColumn(), TaskProgressColumn(), next(texts), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=ERRORS, transient=True) as bar:
         task = bar.add_task(title, total=1.0, text="starting")
         yield lambda fraction, text: bar.update(task, completed=fraction, text=one_line(text))

@@ -162,9 +162,12 @@ def _follow(
         engine = LinkEngine(link, journal)
         outputs = _outputs(engine, server, opens_browser=demo)
         state = run(
-            engine, outputs, resume=journal.is_resumed, open_sources=open_sources,
+            engine,
+            outputs,
+            resume=journal.is_resumed,
+            open_sources=open_sources,
             waiting=lambda: progress_line(link.title),
-        )  # fmt: skip
+        )
         ended = True
     except KeyboardInterrupt:
         print_warning(f"{directory / NAME} keeps what came: the same command goes on from it")

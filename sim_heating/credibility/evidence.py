@@ -93,10 +93,13 @@ def case_as_json(case: ValidationCase) -> dict[str, Any]:
     for name in ("rmse_K", "max_abs_K", "rise_K"):
         data[name] = _rounded(data[name])
     data["bands"] = [
-        {"limits": {n: _outward(*ends) for n, ends in band.limits.items()}, "rmse_K": _rounded(band.rmse_K),
-         "n": band.n}
+        {
+            "limits": {n: _outward(*ends) for n, ends in band.limits.items()},
+            "rmse_K": _rounded(band.rmse_K),
+            "n": band.n,
+        }
         for band in case.bands
-    ]  # fmt: skip
+    ]
     return data
 
 

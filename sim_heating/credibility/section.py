@@ -63,8 +63,11 @@ def contributions_table(block: Mapping[str, Any]) -> list[Table]:
         f"{u['quantity'][0].upper()}{u['quantity'][1:]}:{value} {u['unit']}".rstrip(" :") + f"{sigma}; {u['method']}"
     )
     rows = [[n, c["sigma"], c["share"]] for n, c in u["contributions"].items()]
-    columns = [Column("input"), Column(f"contribution, {u['unit']}".rstrip(", "), "sigma", ".3g"),
-               Column("share of the variance", "share", ".0%")]  # fmt: skip
+    columns = [
+        Column("input"),
+        Column(f"contribution, {u['unit']}".rstrip(", "), "sigma", ".3g"),
+        Column("share of the variance", "share", ".0%"),
+    ]
     return [Table(title, columns, rows)]
 
 

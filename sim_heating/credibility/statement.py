@@ -309,12 +309,13 @@ def _validation_findings(facts: Facts, cases: Sequence[ValidationCase], region: 
         "validation.whole": Answer(bool(names) and region.inside >= 1.0, region.words),
         "validation.error": Answer(
             error is not None and error <= LARGEST_SHARE,
-            "no measured data set covers it" if error is None
+            "no measured data set covers it"
+            if error is None
             else f"predictions there err by up to {error:.0%} of the measured rise",
         ),
         "validation.own_share": facts.own_share,
         "validation.own_noise": facts.own_noise,
-    }  # fmt: skip
+    }
 
 
 def _input_findings(facts: Facts) -> dict[str, Answer]:
@@ -340,14 +341,16 @@ def _uncertainty_findings(facts: Facts, evidence: Evidence) -> dict[str, Answer]
             facts.sigma, "the heating has a standard deviation" if facts.sigma else "the heating has no sigma"
         ),
         "uncertainty.stated": Answer(
-            u is not None, "no standard deviation of the main quantity" if u is None
+            u is not None,
+            "no standard deviation of the main quantity"
+            if u is None
             else f"{u.quantity}: sigma {u.sigma:.3g} {u.unit}".rstrip(),
         ),
         "uncertainty.counted": Answer(
             bool(claims) and not unmet, text or f"bounds of a {facts.kind} were not counted against known truths"
         ),
         "uncertainty.consistent": facts.consistent,
-    }  # fmt: skip
+    }
 
 
 def _robustness_findings(facts: Facts) -> dict[str, Answer]:

@@ -224,9 +224,11 @@ class FitResult:
     def report(self) -> str:
         """The fit as text: how it ended, values with bounds, correlations, what was not estimated, warnings."""
         columns = [
-            Column("parameter"), Column("value", format=".5g"), Column("sigma", format=".2g"),
+            Column("parameter"),
+            Column("value", format=".5g"),
+            Column("sigma", format=".2g"),
             Column("unit", is_text=True),
-        ]  # fmt: skip
+        ]
         units = [u.parameter.unit for u in self.problem.unknowns]
         rows = [[n, *p, unit] for (n, p), unit in zip(self.parameters.items(), units, strict=True)]
         rho = self.correlation

@@ -426,11 +426,14 @@ def contents(lists: Sequence[ParameterList]) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "lists": [
-            {"control_point": of_point.control_point, "record": of_point.record,
-             "parameters": [p.as_json() for p in of_point.parameters]}
+            {
+                "control_point": of_point.control_point,
+                "record": of_point.record,
+                "parameters": [p.as_json() for p in of_point.parameters],
+            }
             for of_point in lists
         ],
-    }  # fmt: skip
+    }
 
 
 def write_parameters(
@@ -473,9 +476,11 @@ def parameter_tables(lists: Sequence[ParameterList]) -> list[Table]:
 
 def _rows(listed: Sequence[ListedParameter], judged: bool) -> tuple[list[Column], list[list[Any]]]:
     columns = [
-        Column("parameter"), Column("nominal", is_text=True), Column("prior", is_text=True),
+        Column("parameter"),
+        Column("nominal", is_text=True),
+        Column("prior", is_text=True),
         Column("bounds", is_text=True),
-    ]  # fmt: skip
+    ]
     rows: list[list[Any]] = [[p.name, _nominal(p), _prior(p), _bounds(p)] for p in listed]
     if not judged:
         return [*columns, Column("meaning", is_text=True)], [

@@ -183,9 +183,10 @@ class FitProblem:
         of_flight = Parameter("", "1", 0.0, 1.0, -limit, limit, text="error of the flight")
         unknowns = [
             replace(u, parameter=replace(of_flight, name=u.parameter.name))
-            if u.parameter.name.startswith(FLIGHT_PREFIX) else u
+            if u.parameter.name.startswith(FLIGHT_PREFIX)
+            else u
             for u in self.unknowns
-        ]  # fmt: skip
+        ]
         parts = []
         for i, part in enumerate(self.record_fits):
             names = () if part.model_error is None or part.flight_names else part.model_error.flight_names

@@ -174,9 +174,12 @@ def with_imposed_surface(model: PointModel) -> PointModel:
     """
     thermal = {name: value for name, value in model.parameters.items() if not name.startswith("ratio.")}
     return replace(
-        model, ratio=None, wall_enthalpy=IMPOSING_CP, effects=(),
+        model,
+        ratio=None,
+        wall_enthalpy=IMPOSING_CP,
+        effects=(),
         parameters={**thermal, "ratio.d0": 1.0, "stack.emissivity_factor": 0.0, "stack.gap.fraction": 0.0},
-    )  # fmt: skip
+    )
 
 
 def smooth_directions(s: FloatArray) -> FloatArray:

@@ -227,9 +227,12 @@ def trend(
 
 
 def _made_start(
-    record: Record, names: Sequence[str], reference: tuple[float, ...], fixed: Mapping[str, float] | None,
+    record: Record,
+    names: Sequence[str],
+    reference: tuple[float, ...],
+    fixed: Mapping[str, float] | None,
     start: Start | StartMaker,
-) -> Start:  # fmt: skip
+) -> Start:
     """The start of the first segment, its temperatures estimated."""
     problem = FitProblem([record], names, reference, FitOptions(fixed=fixed))
     of_record = problem.record_fits[0]

@@ -221,8 +221,11 @@ def limits_page() -> str:
     for name in sorted({*QUANTITIES, *USUAL}):
         range_, usual = quantity(name), USUAL.get(name)
         possible = "" if range_ is None else f"{range_.lowest:g} to {range_.highest:g}"
-        rows.append(f"| `{name}` | {possible} | " + ("|" if usual is None else f"{usual.lowest:g} to {usual.highest:g}")
-                    + (" |" if usual is None else f" | {usual.source} |"))  # fmt: skip
+        rows.append(
+            f"| `{name}` | {possible} | "
+            + ("|" if usual is None else f"{usual.lowest:g} to {usual.highest:g}")
+            + (" |" if usual is None else f" | {usual.source} |")
+        )
     text = (
         "# Ranges of quantities\n\nA number beyond the possible range of its key or column is refused. One beyond the "
         "usual range is accepted, and a warning tells it, also in `--json`; 0 stands for none. A key that is absent "

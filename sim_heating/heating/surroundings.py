@@ -81,9 +81,11 @@ def surroundings_columns(flown: Conditions, pressure_parameters: FloatArray) -> 
     """
     view = ground_view(pressure_parameters[0], pressure_parameters[1])
     pairs = list(zip(flown["T_inf_K"], flown["p_inf_Pa"], strict=True))
-    columns = {"still_air_W_m2K43": np.array([
-        still_air_kernel(V, p) for V, p in zip(flown["velocity_m_s"], flown["p_inf_Pa"], strict=True)
-    ])}  # fmt: skip
+    columns = {
+        "still_air_W_m2K43": np.array(
+            [still_air_kernel(V, p) for V, p in zip(flown["velocity_m_s"], flown["p_inf_Pa"], strict=True)]
+        )
+    }
     if "T_surroundings_K" not in flown:
         columns["T_surroundings_K"] = np.array([surroundings_kernel(T, p, view) for T, p in pairs])
     return columns

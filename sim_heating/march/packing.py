@@ -104,10 +104,12 @@ class PointWriter:
             B[block.scalar_row(block.NATURAL)][lanes] = back.natural_h_W_m2K
             B[block.scalar_row(block.NATURAL_EXPONENT)][lanes] = back.natural_exponent
         for row, value in (
-            (block.BACK_NODE, mesh.nodes - 1), (block.N_PRESSURES, tables.columns),
-            (block.PRESSURE_TABLE, tables.pressures), (block.EMISSIVITY_TABLE, tables.emissivity),
+            (block.BACK_NODE, mesh.nodes - 1),
+            (block.N_PRESSURES, tables.columns),
+            (block.PRESSURE_TABLE, tables.pressures),
+            (block.EMISSIVITY_TABLE, tables.emissivity),
             (block.ENTHALPY_TABLE, tables.enthalpy),
-        ):  # fmt: skip
+        ):
             J[row + offsets.lane : row + offsets.end] = value
 
     def _write_heating(self, i: int, model: PointModel) -> None:
@@ -120,12 +122,14 @@ class PointWriter:
         on_ratio = len(uses) - modes.count("emittance")
         table = block.NO_TABLE if ratio is None else self.tables.place(("ratio", id(ratio)), lambda: pack_table(ratio))
         for row, value in (
-            (block.RATIO_TABLE, table), (block.N_ADDING, modes.count("add")),
-            (block.N_EMITTING, modes.count("emittance")), (block.N_EFFECTS, on_ratio),
+            (block.RATIO_TABLE, table),
+            (block.N_ADDING, modes.count("add")),
+            (block.N_EMITTING, modes.count("emittance")),
+            (block.N_EFFECTS, on_ratio),
             (block.FIRST_AT_WALL, _first_at_wall([u.effect for u in uses[:on_ratio]])),
             (block.LAG_SLOT, lagging[0] if lagging else block.NONE),
             (block.TRANSITION_SLOT, turning[0] if turning else block.NONE),
-        ):  # fmt: skip
+        ):
             J[row + offsets.lane : row + offsets.end] = value
         for lane in range(offsets.lane, offsets.end):
             for k, used in enumerate(uses):

@@ -75,9 +75,7 @@ def estimated_names(model: PointModel, estimate: Estimate) -> dict[str, str]:
     raises : InputError where it has none of the estimate
     """
     split = ((n, *n.partition(AT)[::2]) for n in estimate.parameters)
-    names = {
-        own: n for n, own, owner in split if own.startswith(MODEL_PREFIXES) and owner in ("", model.name)
-    }  # fmt: skip
+    names = {own: n for n, own, owner in split if own.startswith(MODEL_PREFIXES) and owner in ("", model.name)}
     if not names:
         raise InputError(f"{model.name}: the estimate has no parameter of this control point")
     return names
@@ -102,9 +100,11 @@ def estimated_model(model: PointModel, estimate: Estimate, values: dict[str, flo
             effects.append(use(name, dict(named) | changed))
     reference = tuple(estimate.reference_condition.values().tolist())
     return replace(
-        model, parameters=dict(model.parameters) | plain, effects=combined_uses(model.effects, effects),
+        model,
+        parameters=dict(model.parameters) | plain,
+        effects=combined_uses(model.effects, effects),
         reference=reference,
-    )  # fmt: skip
+    )
 
 
 def _estimate_errors(model: PointModel, estimate: Estimate) -> Iterator[PointModel]:
@@ -117,8 +117,10 @@ def _estimate_errors(model: PointModel, estimate: Estimate) -> Iterator[PointMod
     limits = np.array([(d.lower, d.upper) for d in map(fitted.definition, names)])
     for v, axis in zip(np.maximum(variance, 0.0), axes.T, strict=True):
         step = np.sqrt(v) * sigma * axis
-        there = next((t for t in (values + step, values - step) if np.all((t >= limits[:, 0]) & (t <= limits[:, 1]))),
-                     np.clip(values + step, limits[:, 0], limits[:, 1]))  # fmt: skip
+        there = next(
+            (t for t in (values + step, values - step) if np.all((t >= limits[:, 0]) & (t <= limits[:, 1]))),
+            np.clip(values + step, limits[:, 0], limits[:, 1]),
+        )
         yield estimated_model(model, estimate, dict(zip(names, there.tolist(), strict=True)))
 
 
@@ -252,9 +254,7 @@ def predict_with_band(
     others, prior = _other_flights(record, times), heating_error_prior(record)
     spreads = [spread(declared, flown.at(times), m.estimate, prior, others) for m in members]
     band = _band(spreads, members)
-    at_samples = replace(
-        band, low_K=values_at(times, band.low_K, t), high_K=values_at(times, band.high_K, t)
-    )  # fmt: skip
+    at_samples = replace(band, low_K=values_at(times, band.low_K, t), high_K=values_at(times, band.high_K, t))
     return replace(found, history=replace(found.history, band=at_samples))
 
 

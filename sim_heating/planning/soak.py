@@ -16,8 +16,10 @@ FIRST_S, EVERY_S = 1.0, 10.0
 
 
 SOAK: Mapping[str, float] = {
-    "h_ref_kg_m2_s": 0.0, "p_surface_Pa": SEA_LEVEL_PA, "T_surroundings_K": SURROUNDINGS_K,
-}  # fmt: skip
+    "h_ref_kg_m2_s": 0.0,
+    "p_surface_Pa": SEA_LEVEL_PA,
+    "T_surroundings_K": SURROUNDINGS_K,
+}
 """Conditions of a point in the soak, by column: no film, air at sea-level pressure, and surroundings to radiate to."""
 
 
@@ -31,7 +33,9 @@ def with_soak(flown: Conditions, soak_s: float) -> Conditions:
     if "T_surroundings_K" in flown and "still_air_W_m2K43" not in flown:
         del soak["T_surroundings_K"]
     columns = flown.columns if "T_surroundings_K" in flown else flown.with_columns(T_surroundings_K=0.0).columns
-    return Conditions({
-        name: np.concatenate((v, after if name == "time_s" else np.full(len(after), soak.get(name, v[-1]))))
-        for name, v in columns.items()
-    })  # fmt: skip
+    return Conditions(
+        {
+            name: np.concatenate((v, after if name == "time_s" else np.full(len(after), soak.get(name, v[-1]))))
+            for name, v in columns.items()
+        }
+    )

@@ -191,11 +191,13 @@ def _limited_points(study_path: Path, declared: StudyFile, base: Scenario) -> tu
     named = [("limit", name) for name in limits]
     candidates = declared.next_flight.manoeuvre if declared.next_flight is not None else []
     named += [("next_flight", name) for c in candidates for name in c.control_points]
-    raise_problems([
-        f"{display_path(study_path)}, [{table}]: `{name}` is not among the study's control points; add it there"
-        for table, name in dict.fromkeys(named)
-        if name not in base.names
-    ])  # fmt: skip
+    raise_problems(
+        [
+            f"{display_path(study_path)}, [{table}]: `{name}` is not among the study's control points; add it there"
+            for table, name in dict.fromkeys(named)
+            if name not in base.names
+        ]
+    )
     points = []
     for name in base.names:
         point, limit = base.vehicle.control_point(name), limits.get(name, Limit(control_point=name))

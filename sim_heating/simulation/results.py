@@ -270,9 +270,11 @@ def histories_dataset(
         "control_point": ("control_point", [p.name for p in points], {"long_name": "name of the control point"}),
         "sensor": ("sensor", names, {"long_name": "name of the sensor"}),
         "sensor_control_point": (
-            "sensor", [p.name for p in points for _ in sensors[p.name]], {"long_name": "control point of the sensor"}
+            "sensor",
+            [p.name for p in points for _ in sensors[p.name]],
+            {"long_name": "control point of the sensor"},
         ),
-    }  # fmt: skip
+    }
     origin = {"Conventions": "CF-1.10", "source": f"sim-heating {package_version()}", **provenance_attributes()}
     return xr.Dataset(data, coordinates, {**attributes, **origin})
 

@@ -570,9 +570,7 @@ def _page(result: RunResult, folder: Path, points: Sequence[str] | None) -> Page
         for c in compare(result)
     ]  # fmt: skip
     manoeuvres = [folder / _picture_of(i, window.kind) for i, window in enumerate(windows, start=1)]
-    pictures = RunPictures(
-        folder / TRAJECTORY, folder / TEMPERATURES, folder / HEAT, folder / COMPARED, manoeuvres
-    )  # fmt: skip
+    pictures = RunPictures(folder / TRAJECTORY, folder / TEMPERATURES, folder / HEAT, folder / COMPARED, manoeuvres)
     peaks = run_table("", contents, rmse_by_point(result))
     return run_page(
         contents, peaks, result.flight.conditions, result.histories(points), windows, result.limits, compared, pictures

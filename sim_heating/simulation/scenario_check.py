@@ -93,11 +93,9 @@ def check_triggers(spec: TrajectorySpec, vehicle: VehicleData, where: str) -> No
     except RunError as error:
         raise InputError(f"{where}: {error}") from None
     events = {text for _, text in flight.events}
-    raise_problems([
-        f"{where}, manoeuvre {i}: {m.kind} at {trigger_text(m)}: {NOT_FLOWN}; the flight goes {_range_flown(flight)}"
-        for i, m in enumerate(spec.manoeuvre, start=1)
-        if f"{m.kind} at {trigger_text(m)}: {NOT_FLOWN}" in events
-    ])  # fmt: skip
+    started = [(i, f"{m.kind} at {trigger_text(m)}: {NOT_FLOWN}") for i, m in enumerate(spec.manoeuvre, start=1)]
+    flown = f"the flight goes {_range_flown(flight)}"
+    raise_problems([f"{where}, manoeuvre {i}: {text}; {flown}" for i, text in started if text in events])
 
 
 def _range_flown(flight: Flight) -> str:

@@ -144,9 +144,10 @@ def _as_measured(scenario: Scenario, point: ControlPoint, conditions: Conditions
     factor = 1.0 + fraction * conditions["jets"]
     rho = conditions["rho_kg_m3"] * factor
     disturbed = conditions.with_columns(
-        rho_kg_m3=rho, q_Pa=0.5 * rho * conditions["velocity_m_s"] ** 2,
+        rho_kg_m3=rho,
+        q_Pa=0.5 * rho * conditions["velocity_m_s"] ** 2,
         log10_re=conditions["log10_re"] + np.log10(factor),
-    )  # fmt: skip
+    )
     return conditions_at_point(scenario.vehicle, point, disturbed)
 
 

@@ -260,8 +260,11 @@ def _write_surface_balance(
     f = B[(AIR_PLACE + stage) * LANES + lane] - B[WALL_COLUMN * LANES + lane]
     t = wall - B[AIR_FOOT * LANES + lane]
     h_a, cp_a, h_b, cp_b = (
-        B[AIR * LANES + lane], B[(AIR + 1) * LANES + lane], B[(AIR + 2) * LANES + lane], B[(AIR + 3) * LANES + lane],
-    )  # fmt: skip
+        B[AIR * LANES + lane],
+        B[(AIR + 1) * LANES + lane],
+        B[(AIR + 2) * LANES + lane],
+        B[(AIR + 3) * LANES + lane],
+    )
     H_w, cp_w = _air_enthalpy(h_a, cp_a, h_b, cp_b, f, t)
     film, film_slope = film * surface_fraction, film_slope * surface_fraction
     driving = B[(RECOVERY + stage) * LANES + lane] - H_w

@@ -276,8 +276,11 @@ def _weighted_sum(  # type: ignore[no-untyped-def]
         y0, y1, y2, y3 = y[j + q], y[j + q + 1], y[j + q + 2], y[j + q + 3]
         z0, z1, z2, z3 = z[k + q], z[k + q + 1], z[k + q + 2], z[k + q + 3]
         r0, r1, r2, r3 = (
-            a * x0 + b * y0 + c * z0, a * x1 + b * y1 + c * z1, a * x2 + b * y2 + c * z2, a * x3 + b * y3 + c * z3,
-        )  # fmt: skip
+            a * x0 + b * y0 + c * z0,
+            a * x1 + b * y1 + c * z1,
+            a * x2 + b * y2 + c * z2,
+            a * x3 + b * y3 + c * z3,
+        )
         to[at + q], to[at + q + 1], to[at + q + 2], to[at + q + 3] = r0, r1, r2, r3
     for q in range(width - width % VECTOR, width):
         to[at + q] = a * x[i + q] + b * y[j + q] + c * z[k + q]
@@ -407,8 +410,11 @@ def first_right_hand_side(e, f, dt: float, star, at: int, count: int) -> None:  
     ddt = STAGE_WEIGHT * dt
     for k in range(at, at + count - 3, VECTOR):
         r0, r1, r2, r3 = (
-            e[k] + ddt * f[k], e[k + 1] + ddt * f[k + 1], e[k + 2] + ddt * f[k + 2], e[k + 3] + ddt * f[k + 3],
-        )  # fmt: skip
+            e[k] + ddt * f[k],
+            e[k + 1] + ddt * f[k + 1],
+            e[k + 2] + ddt * f[k + 2],
+            e[k + 3] + ddt * f[k + 3],
+        )
         star[k], star[k + 1], star[k + 2], star[k + 3] = r0, r1, r2, r3
     for k in range(at + count - count % VECTOR, at + count):
         star[k] = e[k] + ddt * f[k]

@@ -441,8 +441,10 @@ def check_alpha_schedule(aero: Aero, guidance: Guidance, where: str) -> None:
     """
     scale = 1.0 if guidance.alpha_against == "mach" else 1.0 / SCHEDULE_SOUND_M_S
     low, high = aero.basic.alpha_deg[[0, -1]]
-    flown = [(x * scale, min(max(a, guidance.alpha_limits_deg[0]), guidance.alpha_limits_deg[1]))
-             for x, a in guidance.alpha_deg]  # fmt: skip
+    flown = [
+        (x * scale, min(max(a, guidance.alpha_limits_deg[0]), guidance.alpha_limits_deg[1]))
+        for x, a in guidance.alpha_deg
+    ]
     for mach, alpha in flown:
         if not low <= alpha <= high:
             raise InputError(

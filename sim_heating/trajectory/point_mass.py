@@ -371,10 +371,12 @@ def runge_kutta_step(
         px, py, pz = x + h * kx, y + h * ky, z + h * kz
         kx, ky, kz = vx + h * lx, vy + h * ly, vz + h * lz
         at_stage = Controls(
-            state[ALPHA] + fraction * (alpha - state[ALPHA]), state[BANK] + fraction * (bank - state[BANK]),
-            state[BETA] + fraction * (beta - state[BETA]), state[D_ELEVON] + fraction * (d_elevon - state[D_ELEVON]),
+            state[ALPHA] + fraction * (alpha - state[ALPHA]),
+            state[BANK] + fraction * (bank - state[BANK]),
+            state[BETA] + fraction * (beta - state[BETA]),
+            state[D_ELEVON] + fraction * (d_elevon - state[D_ELEVON]),
             state[D_FLAP] + fraction * (d_flap - state[D_FLAP]),
-        )  # fmt: skip
+        )
         lx, ly, lz = forces_kernel(px, py, pz, kx, ky, kz, at_stage, flight, aero).acceleration_m_s2
         sx, sy, sz = sx + weight * kx, sy + weight * ky, sz + weight * kz
         ax, ay, az = ax + weight * lx, ay + weight * ly, az + weight * lz

@@ -177,28 +177,29 @@ DAMAGED = {
     "unknown manoeuvre": (SHORT + '[[trajectory.manoeuvre]]\nkind = "popo"\nat_time_s = 3.0\n', "did you mean `popu`"),
     "manoeuvre of no kind": (SHORT + "[[trajectory.manoeuvre]]\nat_time_s = 3.0\n", "key `kind` is missing"),
     "key of other manoeuvres": (
-        SHORT + POPU + "at_time_s = 3.0\namplitude_deg = 2.0\n", '"sideslip-doublet", not to kind = "popu", which takes'
+        SHORT + POPU + "at_time_s = 3.0\namplitude_deg = 2.0\n",
+        '"sideslip-doublet", not to kind = "popu", which takes',
     ),
     "misspelt key of a manoeuvre": (SHORT + POPU + "at_time_s = 3.0\nrate_deg = 2.0\n", "did you mean `rate_deg_s`"),
     "manoeuvre backwards": (SHORT + POPU + "at_time_s = 3.0\nrate_deg_s = -1.0\n", "must be above 0"),
     "unknown effect": (SHORT + '[[effect]]\nname = "transitoin"\n', "did you mean `transition`"),
     "effect of nobody": (SHORT + '[[effect]]\nname = "swirl"\n', "your own are read from the folders in SIM_HEATING"),
-    "effect out of bounds": (
-        SHORT + '[[effect]]\nname = "transition"\nparameters = { factor = 50.0 }\n', "1 to 20"
-    ),
+    "effect out of bounds": (SHORT + '[[effect]]\nname = "transition"\nparameters = { factor = 50.0 }\n', "1 to 20"),
     "unknown truth": (SHORT + '[truth]\nparameters = { "ratio.sclae" = 0.1 }\n', "did you mean `ratio.scale`"),
     "fault of no sensor": (SHORT + '[[measurements.fault]]\nsensor = "V09T9528"\n', "did you mean `V09T9527`"),
     "gap backwards": (SHORT + "[measurements]\ngaps_s = [[20.0, 10.0]]\n", "start before end"),
     "no measured file": (
-        SHORT + '[[compare]]\ncontrol_point = "V09T9527"\nfile = "none.csv"\nlabel = "x"\n', "no such file"
+        SHORT + '[[compare]]\ncontrol_point = "V09T9527"\nfile = "none.csv"\nlabel = "x"\n',
+        "no such file",
     ),
     "recorded without a file": (SHORT.replace("entry-3dof", "recorded"), "needs `file`"),
     "empty": ("", "empty"),
     "cut off": (SHORT[: SHORT.index("75000") + 2].replace("altitude_m = 75", "altitude_m = ["), "cut off"),
     "another format": (
-        SHORT.replace("scenario/1", "study/1") + "[envelope]\n", '`format`: "study/1" is not "scenario/1"'
+        SHORT.replace("scenario/1", "study/1") + "[envelope]\n",
+        '`format`: "study/1" is not "scenario/1"',
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", DAMAGED)

@@ -82,10 +82,12 @@ def test_two_commands_at_once_into_one_directory_do_not_mix_results(workdir: Pat
     runs = [
         subprocess.Popen(
             [sys.executable, "-m", "sim_heating", "predict", f"records/{name}", "--out", "out"],
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         for name in ("p06", "p07")
-    ]  # fmt: skip
+    ]
     ended = [(run.communicate()[1], run.returncode) for run in runs]
     assert {status for _, status in ended} <= {0, 2}
     done = [name for name, (_, status) in zip(("p06", "p07"), ended, strict=True) if status == 0]

@@ -317,8 +317,9 @@ def test_a_working_directory_that_was_removed_is_named(workdir: Path) -> None:
     shell = ["sh", "-c", 'cd gone && rmdir ../gone && "$@"', "sh", *MODULE, "validate", "x.toml"]
     done = subprocess.run(shell, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (
-        2, "error: the working directory was removed; change to one that exists\n"
-    )  # fmt: skip
+        2,
+        "error: the working directory was removed; change to one that exists\n",
+    )
 
 
 @pytest.mark.thorough

@@ -74,8 +74,10 @@ def test_a_trigger_that_is_met_is_good(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_a_flight_that_leaves_the_atmosphere_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
-    status, error = validated(SHORT.replace("velocity_m_s = 6800.0", "velocity_m_s = 12000.0")
-                              .replace("time_s = 60.0", "time_s = 3000.0"), capsys)  # fmt: skip
+    status, error = validated(
+        SHORT.replace("velocity_m_s = 6800.0", "velocity_m_s = 12000.0").replace("time_s = 60.0", "time_s = 3000.0"),
+        capsys,
+    )
     assert status == 2
     assert "outside the atmosphere" in error
 

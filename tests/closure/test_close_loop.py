@@ -89,8 +89,9 @@ def test_two_effects_are_both_named_with_their_sizes(monkeypatch: pytest.MonkeyP
     last = found.added[-1]
     values, sigma = fitted_values(last), dict(zip(last.fit.names, last.fit.sigma, strict=True))
     for name, truth in (
-        ("effect.conductivity.conductivity_factor", 1.12), ("effect.alpha-curvature.d_alpha2", 1.5e-4),
-    ):  # fmt: skip
+        ("effect.conductivity.conductivity_factor", 1.12),
+        ("effect.alpha-curvature.d_alpha2", 1.5e-4),
+    ):
         assert values[name] == pytest.approx(truth, abs=5.0 * sigma[name])
 
 
@@ -236,8 +237,10 @@ def test_a_killed_run_over_many_records_is_resumed_and_a_damaged_record_stops_no
     command = ["close-loop", str(records), "--out", str(out), "--workers", "1"]
     killed = subprocess.Popen(
         [sys.executable, "-c", CLOSED_AMONG_FEW, *command],
-        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     finished = out / "finished"
     while killed.poll() is None and not list(finished.glob(".b06-*.sha256")):
         time.sleep(0.05)

@@ -30,8 +30,10 @@ def command(*arguments: str) -> subprocess.Popen[str]:
     """`sim-heating update-tables` in a process of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "sim_heating", "update-tables", *arguments],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def at_once(*commands: tuple[str, ...]) -> list[tuple[int, str, str]]:

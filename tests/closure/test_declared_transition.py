@@ -81,8 +81,10 @@ def test_a_vehicle_takes_the_fitted_transition_at_this_point_and_keeps_its_own_e
     write_estimate("fit.json", estimate_contents(estimate(record, ["ratio.scale", ONSET])))
     assert main(["update-tables", "fit.json", "--vehicle", "orbiter", "--out", "revised"]) == 0
     old, new = load_vehicle("orbiter"), load_vehicle("./revised/orbiter")
-    values = {u.effect.name: dict(zip((p.name for p in u.definitions), u.values, strict=True))
-              for u in new.control_point(POINT).effects}  # fmt: skip
+    values = {
+        u.effect.name: dict(zip((p.name for p in u.definitions), u.values, strict=True))
+        for u in new.control_point(POINT).effects
+    }
     assert values["transition"]["log10_re_onset"] == pytest.approx(2.42, abs=2e-3)
     # Laminar and turbulent table both take the 8 %, so that the factor between the two stays.
     assert values["transition"]["factor"] == 1.0

@@ -96,7 +96,7 @@ DAMAGED = {
     "segments of another record": (json.dumps(good(segments=[[], []])), "2 entries for 1 records"),
     "segment backwards": (json.dumps(good(segments=[[[5.0, 1.0]]])), "start before end"),
     "no record": (json.dumps(good(records=[])), "at least 1"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", DAMAGED)

@@ -85,10 +85,12 @@ def in_steps(samples: Samples) -> list[list[tuple[int, float, float, float]]]:
     """Readings of each step: node, fraction of the step, value, variance."""
     own = np.maximum(np.ceil(samples.time_s / DT - 1e-12).astype(int) - 1, 0)
     return [
-        [(samples.node[i], samples.time_s[i] / DT - k, samples.lower_K[i], samples.variance_K2[i])
-         for i in np.flatnonzero((own == k) & ~np.isnan(samples.lower_K))]
+        [
+            (samples.node[i], samples.time_s[i] / DT - k, samples.lower_K[i], samples.variance_K2[i])
+            for i in np.flatnonzero((own == k) & ~np.isnan(samples.lower_K))
+        ]
         for k in range(STEPS)
-    ]  # fmt: skip
+    ]
 
 
 def by_textbook(steps: list[LinearStep], samples: Samples):
@@ -388,9 +390,11 @@ def test_innovations_are_white_with_the_covariance_stated(plug, hot, bits):
         noisy = run[list(mesh.sensors)] + rng.normal(0.0, 1.0, (len(mesh.sensors), len(run[0])))
         seen = reading_intervals(sensor, noisy)
         samples = samples_on_grid(part[2][1:], mesh.sensors, seen.lower_K, 1.0, seen.upper_K)
-        tracks.append(FilterTrack(
-            model, mesh, samples, (), hot, None, some_covariance(mesh.nodes), noise_K2_s=0.02, disturbance=ratio
-        ))  # fmt: skip
+        tracks.append(
+            FilterTrack(
+                model, mesh, samples, (), hot, None, some_covariance(mesh.nodes), noise_K2_s=0.02, disturbance=ratio
+            )
+        )
         lower.append(seen.lower_K)
         upper.append(seen.upper_K)
     found = [f for k in range(0, 40, 8) for f in FilterMarch(tracks[k : k + 8], part[2], part[3]).filter()]

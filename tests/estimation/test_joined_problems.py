@@ -66,6 +66,8 @@ def test_tied_parameters_have_the_gradient_and_the_information_of_both() -> None
     assert common.log_likelihood == separate.log_likelihood
     np.testing.assert_allclose(common.gradient, at.T @ separate.gradient, rtol=1e-12)
     np.testing.assert_allclose(common.information, at.T @ separate.information @ at, rtol=1e-12)
-    jacobians = [np.concatenate([s.jacobian for s in p.samples(v)]) for p, v in (
-        (own, at @ [0.01, 2.0]), (tied, np.array([0.01, 2.0])))]  # fmt: skip
+    jacobians = [
+        np.concatenate([s.jacobian for s in p.samples(v)])
+        for p, v in ((own, at @ [0.01, 2.0]), (tied, np.array([0.01, 2.0])))
+    ]
     np.testing.assert_allclose(jacobians[1], jacobians[0] @ at, rtol=1e-12)

@@ -26,8 +26,11 @@ def marched():
     time_s = np.arange(0.5, 700.0, STEP_S)
     histories = np.stack([condition_history(f.at(time_s)) for f in flights])
     error = MeshError(models, meshes)
-    error.begin(models, [initial_temperatures(m.construction, mesh) for m, mesh in zip(models, meshes, strict=True)],
-                histories[:, 0])  # fmt: skip
+    error.begin(
+        models,
+        [initial_temperatures(m.construction, mesh) for m, mesh in zip(models, meshes, strict=True)],
+        histories[:, 0],
+    )
     for k in range(1, len(time_s)):
         error.advance(histories[:, k], STEP_S)
     ends = [Ensemble(models, own) for own in (meshes, fine)]

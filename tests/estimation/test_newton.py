@@ -154,9 +154,11 @@ def test_a_ridge_that_bends_is_followed_in_few_steps_within_a_trust_radius() -> 
 
     evaluated: list[FloatArray] = []
     known = [
-        Parameter("scale", "1", 0.0), Parameter("step", "1", 0.0, 0.6, -0.9, 3.0),
-        Parameter("K", "K", 700.0, 1e3, 300.0, 2500.0), Parameter("width", "K", 60.0, 120.0, 1.0, 1e3),
-    ]  # fmt: skip
+        Parameter("scale", "1", 0.0),
+        Parameter("step", "1", 0.0, 0.6, -0.9, 3.0),
+        Parameter("K", "K", 700.0, 1e3, 300.0, 2500.0),
+        Parameter("width", "K", 60.0, 120.0, 1.0, 1e3),
+    ]
     fit = maximise(counted, known, settings=NewtonSettings(trust_radius=0.4))
     assert fit.converged
     np.testing.assert_allclose(fit.values, truth, rtol=2e-2)

@@ -21,8 +21,10 @@ from tests.support.paths import PRACTICE
 
 FloatArray = np.ndarray
 NAMES = ("ratio.scale", "ratio.d_alpha", "stack.rsi.conductivity_factor", "stack.emissivity_factor")
-PRIORS = {name: Prior(mean, sigma) for name, mean, sigma in zip(
-    NAMES, (0.05, 0.0, 1.0, 1.0), (0.2, 0.002, 0.18, 0.035), strict=True)}  # fmt: skip
+PRIORS = {
+    name: Prior(mean, sigma)
+    for name, mean, sigma in zip(NAMES, (0.05, 0.0, 1.0, 1.0), (0.2, 0.002, 0.18, 0.035), strict=True)
+}
 BEGIN_S, END_S = 900.0, 960.0
 WANDERING = Disturbance.gauss_markov(0.01, 30.0)
 

@@ -75,7 +75,10 @@ def test_gap_before_the_start_is_bridged():
     lost = (record.time_s > 400.0) & (record.time_s < 520.0)
     columns = {k: np.where(lost & (k != "time_s"), np.nan, v) for k, v in record.thermocouples.items()}
     start = partial(profile_start, time_s=600.0)
-    fit = estimate([replace(record, thermocouples=columns)], ["ratio.scale", "ratio.d_alpha"],
-                   reference=dict(zip(truth["reference_condition"], joint_reference([record]), strict=True)),
-                   starts=[start])  # fmt: skip
+    fit = estimate(
+        [replace(record, thermocouples=columns)],
+        ["ratio.scale", "ratio.d_alpha"],
+        reference=dict(zip(truth["reference_condition"], joint_reference([record]), strict=True)),
+        starts=[start],
+    )
     assert fit.fit.converged

@@ -139,7 +139,7 @@ SPELLINGS = {
     "alpha_deg": (("alpha", "AoA", "Angle of attack"), ("deg", "rad", "°", "degrees")),
     "time_s": (("time", "Time", "t", "mission time"), ("s", "ms", "min", "h", "sec")),
     "q_Pa": (("q", "q bar", "Dynamic pressure"), ("kPa", "psf")),
-}  # fmt: skip
+}
 """Column -> names and units that tools write it with."""
 WAYS = ("{name} ({unit})", "{name} [{unit}]", "{name}({unit})", "{name}, {unit}", "{name} {unit}")
 

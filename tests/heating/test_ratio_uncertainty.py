@@ -23,9 +23,8 @@ from sim_heating.heating.ratio.uncertainty import (
 )
 
 AXES = tuple(
-    np.array(a)
-    for a in ([0.0, 20.0, 30.0, 40.0, 50.0], [0.0], [2.0, 6.0, 6.5, 7.0], [-10.0, 0.0, 10.0], [0.0])
-)  # fmt: skip
+    np.array(a) for a in ([0.0, 20.0, 30.0, 40.0, 50.0], [0.0], [2.0, 6.0, 6.5, 7.0], [-10.0, 0.0, 10.0], [0.0])
+)
 SHAPE = tuple(len(a) for a in AXES)
 NODES = int(np.prod(SHAPE))
 

@@ -129,12 +129,17 @@ def test_a_hotter_wall_takes_more_heat_and_the_march_converges_on_it() -> None:
     """A wall that heats up through its own recombination ends where the finite-rate flux is radiated."""
     time = np.linspace(0.0, 3000.0, 301)
     conditions = {
-        "h_ref_kg_m2_s": 0.03, "H_r_J_kg": H_R, "p_surface_Pa": PRESSURE, "dissociation_J_kg": HEAT_OF_OXYGEN,
-    }  # fmt: skip
+        "h_ref_kg_m2_s": 0.03,
+        "H_r_J_kg": H_R,
+        "p_surface_Pa": PRESSURE,
+        "dissociation_J_kg": HEAT_OF_OXYGEN,
+    }
     ends = {}
     for name, effects in {
-        "none": (use("recombination", {"efficiency": 0.0}),), "finite": (use("recombination"),), "full": (),
-    }.items():  # fmt: skip
+        "none": (use("recombination", {"efficiency": 0.0}),),
+        "finite": (use("recombination"),),
+        "full": (),
+    }.items():
         thin = wall((material(emissivity=0.85), 0.001))
         _, T = heat(
             thin, flight(time, **conditions), nodes=14, step_s=10.0, parameters={"ratio.d0": 0.3}, effects=effects

@@ -231,11 +231,12 @@ def test_heating_does_not_depend_on_the_size_of_the_reference_sphere(altitude_m)
     T, _, rho = us76_kernel(altitude_m)
     flown = stream(rho, 7500.0, T, alpha_deg=np.array([40.0]))
     films = [
-        r * reference_heating(
+        r
+        * reference_heating(
             "fay-riddell", flown, nose_radius_m=R, recovery=Recovery("edge-laminar"), ratio=np.array([r])
         ).h_ref_kg_m2_s[0]
         for R, r in ((ONE_FOOT_M, 0.1096), (10.0 * ONE_FOOT_M, 0.1096 * np.sqrt(10.0)))
-    ]  # fmt: skip
+    ]
     assert films[1] == pytest.approx(films[0], rel=1e-12)
 
 

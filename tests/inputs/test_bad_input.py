@@ -315,8 +315,10 @@ def problem(tile: Path, file: str, damage: Damage, named: str | None = None) -> 
 # What `validate` says of a path --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("path", "kind"), [("", "record"), ("record.toml", "record"), ("conditions.csv", "record"),
-                                            ("ratio_table.csv", "ratio table")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("path", "kind"),
+    [("", "record"), ("record.toml", "record"), ("conditions.csv", "record"), ("ratio_table.csv", "ratio table")],
+)
 def test_the_kind_of_a_path_is_recognised_from_its_contents(path: str, kind: str) -> None:
     found = check_path(TILE / path)
     assert found.kind == kind

@@ -134,7 +134,7 @@ def entry(initial: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
         (entry(manoeuvre=[{"kind": "popu", "at_mach": 12.0, "hold_s": 4000.0}]), "is this ms? write 4"),
         (entry(manoeuvre=[{"kind": "elevon-pulse", "at_mach": 12.0, "amplitude_deg": 90.0}]), "is not a deflection"),
     ],
-)  # fmt: skip
+)
 def test_a_slip_of_the_unit_in_a_trajectory_is_answered_with_what_to_write(table, expected):
     assert expected in refused(table)
 
@@ -181,7 +181,7 @@ def test_true_is_no_number():
         ({"density_kg_m3": 2.5e5}, "250000 is not a density in kg/m3"),
         ({"emissivity": [[300.0, 1e-6]]}, "is not an emissivity"),
     ],
-)  # fmt: skip
+)
 def test_a_property_that_no_material_has_is_refused(changes, expected):
     assert expected in refused({**TILE, **changes}, Material)
 
@@ -196,7 +196,7 @@ def test_a_property_that_no_material_has_is_refused(changes, expected):
         {"specific_heat_J_kgK": [[4.0, 0.1], [20.0, 8.0], [300.0, 900.0]]},  # aluminium down to liquid helium
         {"specific_heat_J_kgK": [[330.0, 2e3], [335.0, 7e4], [340.0, 2e3]]},  # melting wax
     ],
-)  # fmt: skip
+)
 def test_a_material_that_exists_is_accepted(material):
     check({**TILE, **material}, Material, "file.toml")
 

@@ -184,9 +184,7 @@ def test_every_ratio_is_positive_with_a_sigma_and_a_provenance(vehicle):
         assert point.ratio.reference == vehicle.heating.reference
 
 
-@pytest.mark.parametrize(
-    ("log10_re", "published"), [(6.075, 0.118), (6.236, 0.115), (6.546, 0.107), (6.773, 0.098)]
-)  # fmt: skip
+@pytest.mark.parametrize(("log10_re", "published"), [(6.075, 0.118), (6.236, 0.115), (6.546, 0.107), (6.773, 0.098)])
 def test_plug_is_heated_as_estimated_at_40_deg_and_x_over_L_0_4(orbiter, log10_re, published):
     # An independent estimate of the same flow at Mach 21, 18, 12 and 8, with a power law of viscosity, 3.35e-7 T^0.70.
     assert laminar(orbiter.control_point("V09T9527").ratio, 40.0, log10_re) == pytest.approx(published, rel=0.02)
@@ -353,7 +351,7 @@ DAMAGES = {
         ("reference_length_m = 3.91", "reference_length_m = -3.91", "`reference_length_m`: -3.91 must be above 0"),
         ("reference_length_m", "reference_lenght_m", "`reference_lenght_m`; did you mean `reference_length_m`"),
         ('"sutton-graves"', '"sutton-grave"', "did you mean `sutton-graves`"),
-        ('name = "capsule"', 'name = "capsul"', "is not the name of its directory; write \"capsule\""),
+        ('name = "capsule"', 'name = "capsul"', 'is not the name of its directory; write "capsule"'),
         ('"vehicle/1"', '"vehicle/2"', '"vehicle/2" is not one of vehicle/1'),
     ],
     "control_points/FACE.toml": [
@@ -387,7 +385,7 @@ DAMAGES = {
         ("# reference: sutton-graves\n", "", "is not stated; the vehicle's tables are over"),
         ("sigma", "sigm", "sigm"),
     ],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(

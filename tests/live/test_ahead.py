@@ -228,10 +228,12 @@ def test_the_latest_stop_is_that_of_trying_every_one(source, futures, now, share
     planned = futures.after(frame)["planned"]
     assert isinstance(planned, Course)
     stops = np.arange(NOW_S, START_S + LENGTH_S, 0.25)
-    passed = np.concatenate([
-        look.stop_probabilities(0, estimates[POINT].state, frame, planned, stops[k : k + 8])
-        for k in range(0, len(stops), 8)
-    ])  # fmt: skip
+    passed = np.concatenate(
+        [
+            look.stop_probabilities(0, estimates[POINT].state, frame, planned, stops[k : k + 8])
+            for k in range(0, len(stops), 8)
+        ]
+    )
     latest = stops[np.flatnonzero(passed <= 0.05)[-1]]
     assert ahead.knock_off_by_s == pytest.approx(latest, abs=2.0 * RESOLUTION_S)
     assert START_S < latest < START_S + LENGTH_S

@@ -123,8 +123,10 @@ def test_sensor_away_from_neighbours_after_an_alarm_is_undecided() -> None:
     indicated["surface"][80:160] += 8.0
     whole = {n: T[:240] for n, T in indicated.items()}
     then = {n: T[:160] for n, T in indicated.items()}
-    during, after = (checked(T, truth_of, doubted_from=85) for T, truth_of in (
-        (then, {n: T[:160] for n, T in truth.items()}), (whole, truth)))  # fmt: skip
+    during, after = (
+        checked(T, truth_of, doubted_from=85)
+        for T, truth_of in ((then, {n: T[:160] for n, T in truth.items()}), (whole, truth))
+    )
     assert during.failures == after.failures == []
     assert "neighbours" in during.undecided["NOSE", "surface"]
     assert not after.undecided

@@ -146,10 +146,12 @@ def test_final_estimate_of_a_record_without_an_effect_is_that_of_a_fit(name):
     for k, t in enumerate(c.time_s[5:], start=5):
         now = fitted & (r.time_s > c.time_s[k - 1]) & (r.time_s <= t)
         for s in r.used_sensors:
-            e.add(*(
-                Reading(float(read_s), e.names[0], s.name, float(v))
-                for read_s, v in zip(r.time_s[now], r.thermocouples[s.column][now], strict=True)
-            ))  # fmt: skip
+            e.add(
+                *(
+                    Reading(float(read_s), e.names[0], s.name, float(v))
+                    for read_s, v in zip(r.time_s[now], r.thermocouples[s.column][now], strict=True)
+                )
+            )
         e.add(Frame(float(t), {n: float(c[n][k]) for n in c.names if n != "time_s"}))
         e.advance()
     e.filter_again()
@@ -267,10 +269,13 @@ def test_a_gap_is_bridged_and_the_bounds_grow(in_order):
 @pytest.mark.parametrize("by_s", [-100.0, 4000.0])
 def test_a_jump_of_the_clock_is_told_and_the_estimate_goes_on(in_order, by_s):
     jumped = [
-        s if s.time_s < 880.0 else Frame(s.time_s + by_s, s.values) if isinstance(s, Frame)
+        s
+        if s.time_s < 880.0
+        else Frame(s.time_s + by_s, s.values)
+        if isinstance(s, Frame)
         else Reading(s.time_s + by_s, s.point, s.sensor, s.value_K)
         for s in samples()
-    ]  # fmt: skip
+    ]
     e = feed(estimator(), jumped)
     assert e.counts.jumps == 1
     assert "jumped" in e.messages[-1]
@@ -303,9 +308,10 @@ def stamped(by_s: float, since_s: float = 880.0, sensor: str | None = None) -> l
     """The samples by a clock that jumps, of all or of one sensor."""
     return [
         replace(s, time_s=s.time_s + by_s)
-        if s.time_s >= since_s and (sensor is None or (isinstance(s, Reading) and s.sensor == sensor)) else s
+        if s.time_s >= since_s and (sensor is None or (isinstance(s, Reading) and s.sensor == sensor))
+        else s
         for s in samples()
-    ]  # fmt: skip
+    ]
 
 
 @pytest.mark.sample(1)
@@ -387,9 +393,10 @@ def spiked(by_K: float = 40.0, until_s: float = SPIKE_S) -> list[Sample]:
     name = record().used_sensors[1].name
     return [
         replace(s, value_K=s.value_K + by_K)
-        if isinstance(s, Reading) and s.sensor == name and SPIKE_S - 0.01 < s.time_s < until_s + 0.01 else s
+        if isinstance(s, Reading) and s.sensor == name and SPIKE_S - 0.01 < s.time_s < until_s + 0.01
+        else s
         for s in samples()
-    ]  # fmt: skip
+    ]
 
 
 def left_out(e: LiveEstimator, given) -> list[Innovation]:
@@ -459,9 +466,10 @@ def test_expected_reading_is_used_however_far_from_its_neighbours(in_order):
     wrong = {round(SPIKE_S - 0.5, 3), round(SPIKE_S + 0.5, 3)}
     given = [
         replace(s, value_K=s.value_K + 40.0)
-        if isinstance(s, Reading) and s.sensor == name and round(s.time_s, 3) in wrong else s
+        if isinstance(s, Reading) and s.sensor == name and round(s.time_s, 3) in wrong
+        else s
         for s in samples()
-    ]  # fmt: skip
+    ]
     assert {round(read.time_s, 3) for read in left_out(estimator(), given)} == wrong
 
 
@@ -469,9 +477,10 @@ def test_a_sensor_that_is_left_out_is_predicted_and_not_used():
     e, name = estimator(), record().used_sensors[0].name
     wrong = [
         Reading(s.time_s, s.point, s.sensor, s.value_K + 300.0)
-        if isinstance(s, Reading) and s.sensor == name and s.time_s > 870.0 else s
+        if isinstance(s, Reading) and s.sensor == name and s.time_s > 870.0
+        else s
         for s in samples()
-    ]  # fmt: skip
+    ]
     e.leave_out(e.names[0], name, 870.0)
     feed(e, wrong)
     found = e.estimates()[e.names[0]]
@@ -484,10 +493,9 @@ def test_a_sensor_that_is_left_out_is_predicted_and_not_used():
 def test_readings_of_a_failed_sensor_are_taken_back_on_refiltering():
     name = record().used_sensors[0].name
     wrong = [
-        replace(s, value_K=s.value_K + 10.0)
-        if isinstance(s, Reading) and s.sensor == name and s.time_s > 870.0 else s
+        replace(s, value_K=s.value_K + 10.0) if isinstance(s, Reading) and s.sensor == name and s.time_s > 870.0 else s
         for s in samples()
-    ]  # fmt: skip
+    ]
     told, known = feed(estimator(), wrong), estimator()
     before = told.estimates()[told.names[0]].parameters["ratio.scale"]
     told.leave_out(told.names[0], name, END_S + 1.0, wrong_s=870.0)

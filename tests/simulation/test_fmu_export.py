@@ -200,8 +200,10 @@ def test_host_may_bring_its_own_reference_heating(vehicle, flown, tmp_path):
     columns = {name: np.array([f[name] for f in given]) for name in FRAME}
     own = flown.at(columns["time_s"])
     point = conditions_at_point(vehicle, vehicle.control_point("NOSECAP"), own)
-    more = [{**f, "h_ref_kg_m2_s": float(point["h_ref_kg_m2_s"][i]), "H_r_J_kg": float(point["H_r_J_kg"][i])}
-            for i, f in enumerate(given)]  # fmt: skip
+    more = [
+        {**f, "h_ref_kg_m2_s": float(point["h_ref_kg_m2_s"][i]), "H_r_J_kg": float(point["H_r_J_kg"][i])}
+        for i, f in enumerate(given)
+    ]
     expected = plugin_temperatures(vehicle, given)[:, POINTS.index("NOSECAP")]
     with Host(tmp_path / "columns.fmu") as host:
         found = fmu_temperatures(host, more, ["NOSECAP.surface_K"])[:, 0]
@@ -887,8 +889,11 @@ def test_initial_outputs_change_only_with_what_they_are_declared_to_depend_on(fm
     """Each input and each parameter of a point in turn, in initialization mode."""
     depends = declared(fmus[fmi], initial=True)
     outputs, acts = list(depends), set()
-    known = [v for v in fmpy.read_model_description(fmus[fmi]).modelVariables
-             if v.causality == "input" or (v.name.startswith("NOSECAP.") and v.causality == "parameter")]  # fmt: skip
+    known = [
+        v
+        for v in fmpy.read_model_description(fmus[fmi]).modelVariables
+        if v.causality == "input" or (v.name.startswith("NOSECAP.") and v.causality == "parameter")
+    ]
     with Host(fmus[fmi], timing="held") as host:
         host.fmu.enterInitializationMode() if host.three else (
             host.fmu.setupExperiment(),

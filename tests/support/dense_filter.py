@@ -54,8 +54,10 @@ def linear_step(model: PointModel, mesh: Mesh, vectors: FloatArray, dt: float, d
 
     zero = np.append(np.full(n, 600.0), 0.0)
     steps = np.append(np.full(n, MOVED_K), 1e-2)
-    pairs = [[np.subtract(*p) / (2 * d) for p in zip(stepped(zero + d * e), stepped(zero - d * e), strict=True)]
-             for d, e in zip(steps, np.eye(n + 1), strict=True)]  # fmt: skip
+    pairs = [
+        [np.subtract(*p) / (2 * d) for p in zip(stepped(zero + d * e), stepped(zero - d * e), strict=True)]
+        for d, e in zip(steps, np.eye(n + 1), strict=True)
+    ]
     F, F_m = (np.column_stack([p[s] for p in pairs]) for s in (0, 1))
     end, middle = stepped(zero)
     return LinearStep(F, end - F @ zero, F_m, middle - F_m @ zero)

@@ -31,9 +31,12 @@ class Host:
     """
 
     def __init__(
-        self, path: Path, parameters: Mapping[str, float] | None = None, timing: str | None = "reached",
+        self,
+        path: Path,
+        parameters: Mapping[str, float] | None = None,
+        timing: str | None = "reached",
         like: Host | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         described = fmpy.read_model_description(path, validate=False)
         self.three = described.fmiVersion.startswith("3")
         self.refs = {v.name: v.valueReference for v in described.modelVariables}

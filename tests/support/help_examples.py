@@ -67,8 +67,11 @@ def failures(folder: Path, only: tuple[str, ...] = (), environment: Mapping[str,
         start = time.perf_counter()
         done = subprocess.run(
             [sys.executable, "-m", "sim_heating", *shlex.split(line)],
-            cwd=folder, capture_output=True, text=True, env=None if environment is None else dict(environment),
-        )  # fmt: skip
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            env=None if environment is None else dict(environment),
+        )
         print(f"{time.perf_counter() - start:6.1f} s  {line}", flush=True)
         if done.returncode != 0:
             wrong.append(f"{line}: exit status {done.returncode}: {(done.stderr.strip() or 'nothing said')[-300:]}")

@@ -109,7 +109,7 @@ def layers() -> list[Document]:
         li900 | {"thickness_sigma_m": 1e-3, "contact_m2K_W": 0.0},
         {"material": "gap", "name": "gap", "thickness_m": 0.005, "emissivity_outer": 0.7, "emissivity_inner": 0.6},
         skin,
-    ]  # fmt: skip
+    ]
 
 
 def sensors() -> list[Document]:
@@ -254,11 +254,13 @@ def of_vehicle(folder: Path) -> Outcome:
         for name, p in flown.points.items()
     }  # fmt: skip
     return {
-        "flight": dict(flown.flight.conditions.columns), "histories": histories, "limits": flown.limits,
+        "flight": dict(flown.flight.conditions.columns),
+        "histories": histories,
+        "limits": flown.limits,
         "parameters": contents(scenario_parameters(scenario)),
         "credibility": flown.credibility.as_json(),
         "records": {name: dict(r.thermocouples) for name, r in records.items()},
-    }  # fmt: skip
+    }
 
 
 def vehicle_deed(name: str, written: Callable[[Path], None], file: str, model: type) -> Deed:
@@ -343,8 +345,9 @@ MANOEUVRES: list[Document] = [
 ]  # fmt: skip
 AIR = {
     "density_factor": [[0.0, 1.0], [50e3, 0.95], [80e3, 1.1]],
-    "wind_north_m_s": [[0.0, 5.0], [80e3, 20.0]], "wind_east_m_s": [[0.0, 5.0], [80e3, 30.0]],
-}  # fmt: skip
+    "wind_north_m_s": [[0.0, 5.0], [80e3, 20.0]],
+    "wind_east_m_s": [[0.0, 5.0], [80e3, 30.0]],
+}
 
 
 def of_flight(folder: Path) -> Outcome:
@@ -389,7 +392,7 @@ def of_scenario(folder: Path) -> Outcome:
             name: [dict(r.thermocouples), dict(r.conditions.columns), r.declared.model_dump(mode="json")]
             for name, r in records.items()
         },
-    }  # fmt: skip
+    }
 
 
 def measured(**keys: Any) -> Callable[[Path], None]:
@@ -540,8 +543,9 @@ SCALED: Document = {
 
 
 def source_deed(name: str, file: str, changes: Mapping[str, Mapping[str, Any]] | None = None) -> Deed:
-    return Deed(f"ratio source, {name}", sources(changes or {}), f"orbiter/ratio_sources/{file}.toml", RatioSource,
-                of_tables)  # fmt: skip
+    return Deed(
+        f"ratio source, {name}", sources(changes or {}), f"orbiter/ratio_sources/{file}.toml", RatioSource, of_tables
+    )
 
 
 SOURCE_DEEDS = (
@@ -649,8 +653,10 @@ def of_study(folder: Path) -> Outcome:
     done = sh.plan(load_study(folder / "study.toml", root=folder), out, workers=1)
     if done.failed:
         raise ValueError(str(done.failed))
-    return {name: [dict(result.data), result.notes, [t.csv() for t in result.tables]]
-            for name, result in done.results.items()}  # fmt: skip
+    return {
+        name: [dict(result.data), result.notes, [t.csv() for t in result.tables]]
+        for name, result in done.results.items()
+    }
 
 
 def study(**keys: Any) -> Callable[[Path], None]:
@@ -682,8 +688,9 @@ ENVELOPE: Document = {
                   "across": "alpha_offset_deg", "values": [-8.0, 0.0], "inside": -4.0, "family": "cg_fraction",
                   "of": [0.66, 0.67], "one_sided": False, "fixed": {"bodyflap_deg": 14.0}}],
 }  # fmt: skip
-NEXT: Document = {"manoeuvre": [{"name": "popu", "control_points": ["V09T9527"],
-                                 "flown": [{"kind": "popu", "at_time_s": 10.0}]}]}  # fmt: skip
+NEXT: Document = {
+    "manoeuvre": [{"name": "popu", "control_points": ["V09T9527"], "flown": [{"kind": "popu", "at_time_s": 10.0}]}]
+}
 COOL = [{"control_point": "V09T9527", "surface_K": 800.0, "bondline_K": 300.0}]
 
 

@@ -322,8 +322,9 @@ def case(command: str, fresh: bool = False) -> Case:
             given = arguments(command, flight) or []
             assert main([str(folder / "out") if a == "OUT" else a for a in given]) == 0
 
-        return Case(lambda folder: None if fresh else run("before", folder), lambda folder: run("after", folder),
-                    fresh=fresh)  # fmt: skip
+        return Case(
+            lambda folder: None if fresh else run("before", folder), lambda folder: run("after", folder), fresh=fresh
+        )
     if command == "fmu export --ssp":
         os.environ["SOURCE_DATE_EPOCH"] = "0"
         vehicle = sh.load_vehicle(inputs() / "orbiter")
@@ -387,9 +388,10 @@ def readable(files: Mapping[str, str]) -> dict[str, str]:
     Those of its finished tasks, which are kept whatever happens, count only where they are not whole.
     """
     return {
-        name: digest for name, digest in files.items()
+        name: digest
+        for name, digest in files.items()
         if not TASKS & set(Path(name).parts) or (Path(name).name == MARKER and digest != "whole")
-    }  # fmt: skip
+    }
 
 
 def _without_remains(files: Mapping[str, str]) -> dict[str, str]:

@@ -166,9 +166,11 @@ class _Point:
             surface, bondline = (self._estimated(self._true(n, at)) * hotter for n in ("surface_K", "bondline_K"))
             errors = [k + (T - START_K) / 4.0 * sigma * (1.0 + growth) for k, T in ((1.0, surface), (0.2, bondline))]
             peak = int(np.argmax(surface))
-            rooms = [(self._limits[n] - T, e) for n, T, e in zip(
-                ("surface_K", "bondline_K"), (surface, bondline), errors, strict=True
-            ) if n in self._limits]  # fmt: skip
+            rooms = [
+                (self._limits[n] - T, e)
+                for n, T, e in zip(("surface_K", "bondline_K"), (surface, bondline), errors, strict=True)
+                if n in self._limits
+            ]
             margin = min(float(np.min(room)) for room, _ in rooms)
             chance = max(float(np.max(_passed(room / e))) for room, e in rooms)
             found[name] = AheadState(
@@ -179,9 +181,10 @@ class _Point:
 
     def _knock_off(self, now: float, planned: AheadState) -> tuple[KnockOff, float | None]:
         over = [
-            t for t, T, Tb in zip(planned.time_s, planned.surface_K, planned.bondline_K, strict=True)
+            t
+            for t, T, Tb in zip(planned.time_s, planned.surface_K, planned.bondline_K, strict=True)
             if self._limits["surface_K"] < T or self._limits.get("bondline_K", np.inf) < Tb
-        ]  # fmt: skip
+        ]
         if not over:
             return "never needed", None
         return ("by", over[0] - STOP_S) if over[0] - STOP_S > now else ("too late", None)

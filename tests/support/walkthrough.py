@@ -100,8 +100,11 @@ class Walk:
         program = ["-m", "sim_heating"] if first == "sim-heating" else []
         done = subprocess.run(
             [sys.executable, *program, *arguments],
-            cwd=self.folder, capture_output=True, text=True, env=self.environment,
-        )  # fmt: skip
+            cwd=self.folder,
+            capture_output=True,
+            text=True,
+            env=self.environment,
+        )
         self.printed = done.stdout + done.stderr
         print(f"{time.perf_counter() - start:6.1f} s  {command}", flush=True)
         assert done.returncode == 0, f"{command}: exit status {done.returncode}\n{self.printed}"

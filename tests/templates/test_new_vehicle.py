@@ -227,8 +227,11 @@ def test_the_shipped_entry_makes_a_study_of_an_optimal_entry_that_plan_solves() 
     assert found["status"].endswith("; none is active")
     assert "kept: V09T9527 surface" in found["status"]
     assert {p["name"] for p in found["flight_limits"]} == {
-        "dynamic pressure", "normal load", "rate of alpha", "rate of bank"
-    }  # fmt: skip
+        "dynamic pressure",
+        "normal load",
+        "rate of alpha",
+        "rate of bank",
+    }
     assert found["cross_range_deg"] > 20.0
 
 

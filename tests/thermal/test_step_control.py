@@ -154,8 +154,9 @@ def test_samples_outside_the_table_and_of_negative_ratio_count_once_however_thei
 
 def test_a_lag_of_the_heating_ratio_is_that_of_steps_marched_one_by_one():
     lagging = bare()
-    lagging = PointModel("lag", INSULATION, SENSORS_M, nodes=40, parameters={"ratio.d0": 1.0},
-                         effects=(use("nonisothermal-wall"),))  # fmt: skip
+    lagging = PointModel(
+        "lag", INSULATION, SENSORS_M, nodes=40, parameters={"ratio.d0": 1.0}, effects=(use("nonisothermal-wall"),)
+    )
     history = flight(SECONDS, **JUMPS["film"], alpha_deg=30.0 + SECONDS / 6.0)
     fine = pack([lagging], tolerance_K=NOT_CONTROLLED_K).march(SECONDS, history, longest_step_s=1.0 / 128.0)
     assert np.max(np.abs(pack([lagging]).march(SECONDS, history) - fine)) < 0.05

@@ -214,9 +214,11 @@ def test_with_a_target_bank_turns_the_vehicle_towards_it():
     lat, lon = np.radians(c["latitude_deg"]), np.radians(c["longitude_deg"])
     there, east = math.radians(28.6), np.radians(-80.7) - lon
     away = np.arccos(np.sin(lat) * math.sin(there) + np.cos(lat) * math.cos(there) * np.cos(east)) * 6371.0
-    azimuth = np.degrees(np.arctan2(
-        np.sin(east) * math.cos(there), np.cos(lat) * math.sin(there) - np.sin(lat) * math.cos(there) * np.cos(east)
-    ))  # fmt: skip
+    azimuth = np.degrees(
+        np.arctan2(
+            np.sin(east) * math.cos(there), np.cos(lat) * math.sin(there) - np.sin(lat) * math.cos(there) * np.cos(east)
+        )
+    )
     error = np.abs((c["heading_deg"] - azimuth + 180.0) % 360.0 - 180.0)
     guided = (c.time_s > 600.0) & (away > 800.0)
     assert error[guided].max() < 25.0
@@ -256,9 +258,11 @@ def test_control_pulses_show_in_the_columns_and_stay_in_travel():
 
 def test_the_flight_stops_at_the_first_limit_it_passes():
     for stop, name, value in (
-        ({"mach": 12.0}, "mach", 12.0), ({"velocity_m_s": 5000.0}, "velocity_m_s", 5000.0),
-        ({"altitude_m": 60e3}, "altitude_m", 60e3), ({"time_s": 333.0}, "time_s", 333.0),
-    ):  # fmt: skip
+        ({"mach": 12.0}, "mach", 12.0),
+        ({"velocity_m_s": 5000.0}, "velocity_m_s", 5000.0),
+        ({"altitude_m": 60e3}, "altitude_m", 60e3),
+        ({"time_s": 333.0}, "time_s", 333.0),
+    ):
         last = entry3dof.fly(spec(stop=stop, rate_hz=10.0, sample_s=0.1), VEHICLE).conditions[name][-1]
         assert last == pytest.approx(value, rel=2e-3)
 

@@ -250,7 +250,7 @@ WRONG_MAPPINGS = [
     ({"mach": 20.0}, r"`mach` and velocity_m_s both determine the speed; remove one"),
     ({"altitude_m": {"variable": "h_state", "unit": ""}}, r"`h_state` of .* is in `1`, which does not convert to `m`"),
     ({"altitude_m": {"variable": "h_state", "unit": "m."}}, r"`m\.` is not a unit; write it like m, ft/s"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("columns", "expected"), WRONG_MAPPINGS)

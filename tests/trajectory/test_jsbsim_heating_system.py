@@ -84,8 +84,9 @@ def test_jsbsim_gives_the_equilibrium_temperature_of_a_point(
     assert expected > 400.0
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1, 1, 1), (3, 1, 1, 1, 1), (3, 2, 1, 1, 1), (2, 3, 2, 1, 1), (2, 2, 3, 2, 1),
-                                   (2, 3, 2, 2, 2)])  # fmt: skip
+@pytest.mark.parametrize(
+    "shape", [(1, 1, 1, 1, 1), (3, 1, 1, 1, 1), (3, 2, 1, 1, 1), (2, 3, 2, 1, 1), (2, 2, 3, 2, 1), (2, 3, 2, 2, 2)]
+)
 def test_a_table_of_any_number_of_variables_is_read_as_it_was_written(tmp_path, shape):
     values = np.random.default_rng(1).uniform(0.1, 1.0, shape)
     axes = [np.arange(float(n)) for n in shape]

@@ -410,11 +410,14 @@ def _refuse_inputs(target: Path, inputs: Iterable[str | os.PathLike[str] | None]
             continue
         path = real_path(source)
         relation = (
-            "is" if path == target
-            else "contains" if target in path.parents
-            else "lies in" if path in target.parents
+            "is"
+            if path == target
+            else "contains"
+            if target in path.parents
+            else "lies in"
+            if path in target.parents
             else None
-        )  # fmt: skip
+        )
         if relation is not None:
             raise InputError(
                 f"{display_path(target)}: {relation} the input {display_path(path)}, which results might replace; "

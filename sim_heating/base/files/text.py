@@ -27,9 +27,12 @@ after it."""
 LARGEST_TEXT_BYTES = 1_000_000_000
 """Largest text that is read: a record of 50 columns for an hour at 500 samples a second has about this size."""
 _OTHER_KINDS = (
-    (stat.S_ISDIR, "a directory"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
+    (stat.S_ISDIR, "a directory"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
     (stat.S_ISSOCK, "a socket"),
-)  # fmt: skip
+)
 NAMES_LISTED = 24
 """Known names that a message lists."""
 

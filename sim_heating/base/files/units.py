@@ -53,9 +53,11 @@ DIFFERENCES = {"degC": "K", "degF": "degR"}
 SERIAL_NUMBER = re.compile(r"\s*\((?:LGR|SEN|S/N)[^()]*\)\s*$")
 """What HOBO loggers write behind a unit."""
 STATED = (
-    r"([^,]*\S)\s*,\s*([^,(]+?)\s*(?:\((?:LGR|SEN|S/N).*\))?", r"(.*?[^\s\[])\s*\[([^\]]*)\]",
-    r"(.*?[^\s<])\s*<([^>]*)>", r"(.*?[^\s(])\s*\(((?:[^()]|\([^()]*\))*)\)\s*(?:c:\d+)?",
-)  # fmt: skip
+    r"([^,]*\S)\s*,\s*([^,(]+?)\s*(?:\((?:LGR|SEN|S/N).*\))?",
+    r"(.*?[^\s\[])\s*\[([^\]]*)\]",
+    r"(.*?[^\s<])\s*<([^>]*)>",
+    r"(.*?[^\s(])\s*\(((?:[^()]|\([^()]*\))*)\)\s*(?:c:\d+)?",
+)
 """Patterns of a name with its unit behind a comma or in brackets."""
 SLASHED = r"(.*\S)\s*/\s*(\S+)"
 LONGEST = 100

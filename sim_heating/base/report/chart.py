@@ -242,9 +242,11 @@ def chart_data(chart: Chart, intervals: int) -> tuple[dict[str, Any], str]:
         top = float(np.max(np.abs(drawn[np.isfinite(drawn)]), initial=0.0))
         step = 10.0 ** math.floor(math.log10((span or top or 1.0) / RESOLUTION))
         return {
-            "t": time_number(time_s), **({} if is_complete else {"i": _differences(kept.astype(float))}),
-            "step": step, "y": _differences(drawn / step),
-        }  # fmt: skip
+            "t": time_number(time_s),
+            **({} if is_complete else {"i": _differences(kept.astype(float))}),
+            "step": step,
+            "y": _differences(drawn / step),
+        }
 
     def curve(c: Curve) -> dict[str, Any]:
         time_s, values = np.asarray(c.time_s, dtype=float), np.asarray(c.values, dtype=float)
@@ -257,17 +259,22 @@ def chart_data(chart: Chart, intervals: int) -> tuple[dict[str, Any], str]:
 
     panels = [
         {
-            "label": printable(p.label), "height": p.height, "zero": p.zero, "curves": [curve(c) for c in p.curves],
+            "label": printable(p.label),
+            "height": p.height,
+            "zero": p.zero,
+            "curves": [curve(c) for c in p.curves],
             "limits": None if p.limits is None else [float(v) for v in p.limits],
         }
         for p in chart.panels
-    ]  # fmt: skip
+    ]
     data = {
-        "title": printable(chart.title), "time": printable(chart.time), "panels": panels,
+        "title": printable(chart.title),
+        "time": printable(chart.time),
+        "panels": panels,
         "view": None if chart.view is None else [float(t) for t in chart.view],
         "spans": [[s.start_s, s.end_s, printable(s.label), to_hex(s.color)] for s in chart.spans],
         "times": [_encoded_times(t) for t in times],
-    }  # fmt: skip
+    }
     note = (
         f"Curves of more than {2 * intervals} samples (up to {most}) are drawn by the least and the greatest value, "
         f"dots by the median too, in each of {intervals} equal intervals of time; the CSV files have every sample."

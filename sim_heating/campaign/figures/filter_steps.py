@@ -58,9 +58,11 @@ def steps(data: FlownData) -> PaperFigure:
     )
     note = f"largest step of the filter: {largest:.1f} K in the first three samples, {last:.1f} K in the last ten"
     statement = Statement(
-        60, "the filter takes the error of approximate initial conditions back at every node",
-        f"steps of up to {largest:.1f} K at first, {last:.1f} K at last", last < largest / 3.0,
-    )  # fmt: skip
+        60,
+        "the filter takes the error of approximate initial conditions back at every node",
+        f"steps of up to {largest:.1f} K at first, {last:.1f} K at last",
+        last < largest / 3.0,
+    )
     return finished(4, title, drawn, tables, (note,), (statement,))
 
 

@@ -250,9 +250,7 @@ class FlownData:
             fitted = [without_table(r).with_fit(s) for r, s in zip(records, segments, strict=True)]
             starts = [start_at("profile", s[0][0]) for s in segments]
             settings = NewtonSettings(first_values=values)
-            return estimate(
-                fitted, names, starts=starts, effects=(LAG,), reference=reference, settings=settings
-            )  # fmt: skip
+            return estimate(fitted, names, starts=starts, effects=(LAG,), reference=reference, settings=settings)
 
         return self._once(("joint", *map(id, records)), fit)
 

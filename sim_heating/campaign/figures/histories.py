@@ -94,9 +94,11 @@ def pod(data: FlownData) -> PaperFigure:
     inside = (t >= flown.manoeuvre.start_s) & (t <= flown.manoeuvre.end_s)
     swing, floor = float(np.nanmax(residual[inside]) - np.nanmin(residual[inside])), flown.record.noise_floor_K()
     statement = Statement(
-        87, "the pod responds to the Mach 20 manoeuvre unlike its tables",
-        f"measured less declared changes by {swing:.0f} K in the manoeuvre, noise {floor:.1f} K", swing > LARGE * floor,
-    )  # fmt: skip
+        87,
+        "the pod responds to the Mach 20 manoeuvre unlike its tables",
+        f"measured less declared changes by {swing:.0f} K in the manoeuvre, noise {floor:.1f} K",
+        swing > LARGE * floor,
+    )
     return replace(drawn, statements=(statement,))
 
 
@@ -112,10 +114,12 @@ def _at_mach_20(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
     rmse, floor = panel.fit.after[0].segment_errors()["fit"]["rmse_K"], panel.flown.record.noise_floor_K()
     return (
         Statement(
-            56, "a ratio that is linear over a short manoeuvre correlates the readings at Mach 20",
-            f"RMSE {rmse:.2f} K, noise {floor:.2f} K", rmse < NEAR_NOISE * floor,
+            56,
+            "a ratio that is linear over a short manoeuvre correlates the readings at Mach 20",
+            f"RMSE {rmse:.2f} K, noise {floor:.2f} K",
+            rmse < NEAR_NOISE * floor,
         ),
-    )  # fmt: skip
+    )
 
 
 def _at_mach_12(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
@@ -204,11 +208,13 @@ def _at_mach_8(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
     rmse, floor = fit.after[0].segment_errors()["fit"]["rmse_K"], flown.record.noise_floor_K()
     return (
         Statement(
-            77, "the flow is turbulent all through the Mach 8 manoeuvre",
+            77,
+            "the flow is turbulent all through the Mach 8 manoeuvre",
             f"ratio {times.min():.1f} to {times.max():.1f} times the laminar table's; RMSE {rmse:.2f} K, noise "
-            f"{floor:.2f} K", times.min() > TURBULENT_TIMES,
+            f"{floor:.2f} K",
+            times.min() > TURBULENT_TIMES,
         ),
-    )  # fmt: skip
+    )
 
 
 LOWER_STATEMENTS = {5: _at_mach_20, 6: _at_mach_12, 7: _at_mach_8}

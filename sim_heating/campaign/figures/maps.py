@@ -123,9 +123,11 @@ def control_points(data: FlownData) -> PaperFigure:
     title = f"control points of the vehicle {vehicle.name}; filled: with a record; dotted: interfaces"
     on_pods = [p.name for p in hot if p.declared.heat_shield == FELT and p.declared.interface is not None]
     statement = Statement(
-        89, "felt of the OMS pods behind the tile is discoloured", f"above its limit: {', '.join(on_pods) or 'none'}",
+        89,
+        "felt of the OMS pods behind the tile is discoloured",
+        f"above its limit: {', '.join(on_pods) or 'none'}",
         bool(on_pods),
-    )  # fmt: skip
+    )
     return finished(15, title, drawn, {"": _table(points, flown, peaks)}, notes, (statement,))
 
 
@@ -243,15 +245,18 @@ def _nose_statements(peak_mach: float, most_mach: float, excess: float) -> list[
     """What the paper says of the nose cap and the tile behind it, at speeds over 1000 ft/s."""
     return [
         Statement(
-            92, "the nose cap is hottest near Mach 13", f"hottest at Mach {peak_mach:.1f}",
+            92,
+            "the nose cap is hottest near Mach 13",
+            f"hottest at Mach {peak_mach:.1f}",
             abs(peak_mach - CAP_PEAK_MACH) < NEAR_MACH,
         ),
         Statement(
-            92, "the effect of the interface behind the nose cap is largest at Mach 18",
+            92,
+            "the effect of the interface behind the nose cap is largest at Mach 18",
             f"heating of the tile {excess:+.1%} at most, at Mach {most_mach:.1f}",
             abs(most_mach - LARGEST_MACH) < NEAR_MACH,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _peaks(data: FlownData, points: Sequence[ControlPoint]) -> dict[str, float]:

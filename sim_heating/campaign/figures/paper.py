@@ -105,9 +105,12 @@ class PaperFigures:
     def page(self) -> Page:
         """Statements in a table, then every figure with what was found."""
         columns = [
-            Column("figure"), Column("statement"), Column("the paper says", is_text=True),
-            Column("these flights", is_text=True), Column("verdict", is_text=True),
-        ]  # fmt: skip
+            Column("figure"),
+            Column("statement"),
+            Column("the paper says", is_text=True),
+            Column("these flights", is_text=True),
+            Column("verdict", is_text=True),
+        ]
         rows = [[n, s.number, s.paper, s.here, s.verdict] for n, s in self.statements]
         sections = [Section("Statements of the paper", tables=[Table("Statements", columns, rows)])]
         sections += [

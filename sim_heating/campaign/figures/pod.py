@@ -107,21 +107,24 @@ def _statements(fits: dict[str, FitResult], record: Record, onset: float) -> tup
     both = fit.after[0].segment_errors()["fit"]["rmse_K"]
     return (
         Statement(
-            87, "impingement on the pod begins at 37 deg in flight, at 30 deg in the tunnel",
+            87,
+            "impingement on the pod begins at 37 deg in flight, at 30 deg in the tunnel",
             f"onset {plus_minus(value, sigma)} deg; the table rises from {onset:g} deg",
             agrees(value, sigma, PAPER_ONSET_DEG, onset) and onset == TUNNEL_ONSET_DEG,
         ),
         Statement(
-            37, "the readings of the pod correlate with a time skew of 3 s",
+            37,
+            "the readings of the pod correlate with a time skew of 3 s",
             f"skew {plus_minus(skew, skew_sigma)} s; RMSE {both:.2f} K with it, {alone:.2f} K without",
             agrees(skew, skew_sigma, PAPER_SKEW_S, 0.0) and both < alone,
         ),
         Statement(
-            35, "a coating of 20 mil is estimated on the recoated felt, where 7 mil is usual",
+            35,
+            "a coating of 20 mil is estimated on the recoated felt, where 7 mil is usual",
             f"{plus_minus(mil, mil_sigma)} mil, estimated with the skew",
             agrees(mil, mil_sigma, PAPER_MIL, USUAL_MIL),
         ),
-    )  # fmt: skip
+    )
 
 
 def _what(fit: FitResult, record: Record) -> str:

@@ -70,44 +70,50 @@ def _lower_statements(data: FlownData, estimates: Sequence[Estimate]) -> tuple[S
         floor, quality = at_20.flown.record.noise_floor_K(), _rmse(at_20.fit)
         statements += [
             Statement(
-                74, "at Mach 20 the trend in angle of attack is that of the wind tunnel",
+                74,
+                "at Mach 20 the trend in angle of attack is that of the wind tunnel",
                 f"{plus_minus(slope, sigma)} per deg, table {tunnel:.5f} +- {tunnel_sigma:.5f}",
                 abs(slope - tunnel) < SIGMAS * np.hypot(sigma, tunnel_sigma),
             ),
             Statement(
-                74, "a straight line in angle of attack is valid at Mach 20",
-                f"RMSE {quality:.2f} K, noise {floor:.2f} K", quality < NEAR_NOISE * floor,
+                74,
+                "a straight line in angle of attack is valid at Mach 20",
+                f"RMSE {quality:.2f} K, noise {floor:.2f} K",
+                quality < NEAR_NOISE * floor,
             ),
-        ]  # fmt: skip
+        ]
         if data.jet_names(at_20.flown):
             false, false_sigma = data.linear_fit(at_20.flown, "alpha", jets=False).parameters[D_ALPHA]
             statements.append(
                 Statement(
-                    67, "pitch jets disturb the measured density, and so the derivative in angle of attack",
+                    67,
+                    "pitch jets disturb the measured density, and so the derivative in angle of attack",
                     f"{plus_minus(false, false_sigma)} per deg without the jets as an input, "
                     f"{plus_minus(slope, sigma)} with them",
                     abs(false - slope) > SIGMAS * sigma,
                 )
-            )  # fmt: skip
+            )
         if (at_12 := by_mach.get(12)) is not None:
             lower, lower_sigma = at_12.fit.parameters[D_ALPHA]
             statements.append(
                 Statement(
-                    75, "at Mach 12 the derivative in angle of attack is lower than at Mach 20",
+                    75,
+                    "at Mach 12 the derivative in angle of attack is lower than at Mach 20",
                     f"{plus_minus(lower, lower_sigma)} per deg against {plus_minus(slope, sigma)}",
                     lower + np.hypot(lower_sigma, sigma) < slope,
                 )
-            )  # fmt: skip
+            )
         if (at_8 := by_mach.get(8)) is not None:
             middle = SAMPLES // 2
             statements.append(
                 Statement(
-                    77, "at Mach 8 the ratio is larger than at Mach 20, and so is its bound",
+                    77,
+                    "at Mach 8 the ratio is larger than at Mach 20, and so is its bound",
                     f"{plus_minus(at_8.ratio[middle], at_8.sigma[middle])} against "
                     f"{plus_minus(at_20.ratio[middle], at_20.sigma[middle])}",
                     bool(at_8.ratio[middle] > at_20.ratio[middle] and at_8.sigma[middle] > at_20.sigma[middle]),
                 )
-            )  # fmt: skip
+            )
     return tuple(statements)
 
 
@@ -144,33 +150,41 @@ def _elevon_statements(estimates: Sequence[Estimate]) -> tuple[Statement, ...]:
         curved, sigma = at_21.fit.parameters[D_ELEVON2]
         statements.append(
             Statement(
-                80, "at Mach 21 elevon heating is nonlinear in deflection, of second order",
-                f"second-order term {plus_minus(curved, sigma)} per deg2", curved > SIGMAS * sigma,
+                80,
+                "at Mach 21 elevon heating is nonlinear in deflection, of second order",
+                f"second-order term {plus_minus(curved, sigma)} per deg2",
+                curved > SIGMAS * sigma,
             )
-        )  # fmt: skip
+        )
     if (at_16 := by_mach.get(16)) is not None:
         statements.append(
             Statement(
-                82, "at Mach 16 the elevon's thermocouple does not respond, the derivative is zero",
-                at_16.text, at_16.silent,
+                82,
+                "at Mach 16 the elevon's thermocouple does not respond, the derivative is zero",
+                at_16.text,
+                at_16.silent,
             )
-        )  # fmt: skip
+        )
     if (at_12 := by_mach.get(12)) is not None:
         low, high = float(at_12.sigma[0]), float(at_12.sigma[at_12.x[:, ELEVON] >= 0.0].min())
         statements.append(
             Statement(
-                83, "at Mach 12 the elevon's data correlate poorly at negative deflections",
-                f"bound {low:.2g} at {at_12.x[0, ELEVON]:.1f} deg, {high:.2g} at best above 0", low > high,
+                83,
+                "at Mach 12 the elevon's data correlate poorly at negative deflections",
+                f"bound {low:.2g} at {at_12.x[0, ELEVON]:.1f} deg, {high:.2g} at best above 0",
+                low > high,
             )
-        )  # fmt: skip
+        )
         if at_21 is not None:
             times = float(np.median(at_12.ratio) / np.median(at_21.ratio))
             statements.append(
                 Statement(
-                    83, "at Mach 12 the flow on the elevon is turbulent",
-                    f"ratio {times:.1f} times that of Mach 21", times > TURBULENT_TIMES,
+                    83,
+                    "at Mach 12 the flow on the elevon is turbulent",
+                    f"ratio {times:.1f} times that of Mach 21",
+                    times > TURBULENT_TIMES,
                 )
-            )  # fmt: skip
+            )
     return tuple(statements)
 
 

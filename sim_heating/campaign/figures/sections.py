@@ -70,10 +70,12 @@ def _draw_section(a: Axes, name: str, record: Record, colors: Mapping[str, str])
     a.set_axis_off()
     return {
         f"{name}_layers": {
-            "material": [layer.material for layer in layers], "thickness_m": thickness, "outer_face_m": faces[:-1],
+            "material": [layer.material for layer in layers],
+            "thickness_m": thickness,
+            "outer_face_m": faces[:-1],
         },
         f"{name}_thermocouples": {"sensor": [sensor.name for sensor in record.sensors], "depth_m": np.array(depths)},
-    }  # fmt: skip
+    }
 
 
 def _drawn_faces(thickness: FloatArray) -> FloatArray:

@@ -392,9 +392,11 @@ class _InverseProblem:
         # Away from the upper bounds: the objective is clipped there, and a flat simplex would stop at once.
         simplex = start + np.array([[0.0, 0.0], [inward[0], 0.0], [0.0, inward[1]]])
         optimum = minimize(
-            cost, start, method="Nelder-Mead",
+            cost,
+            start,
+            method="Nelder-Mead",
             options={"initial_simplex": simplex, "fatol": LIKELIHOOD_TOLERANCE, "xatol": 0.1, "maxfev": 60},
-        )  # fmt: skip
+        )
         q, tau = np.exp(np.clip(optimum.x, low, high))
         # Again on all knots: changes that a coarse history cannot follow would count as noise.
         factor = variance_factor_of(

@@ -145,11 +145,14 @@ def columns_of(w: Workspace, nodes: int, columns: int) -> Workspace:
     """
     count = nodes * columns
     return Workspace(
-        w.end.ravel()[:count].reshape((nodes, columns)), w.middle.ravel()[:count].reshape((nodes, columns)),
-        w.e.ravel()[:count].reshape((nodes, columns)), w.f.ravel()[:count].reshape((nodes, columns)),
-        w.star.ravel()[:count].reshape((nodes, columns)), w.e_middle.ravel()[:count].reshape((nodes, columns)),
+        w.end.ravel()[:count].reshape((nodes, columns)),
+        w.middle.ravel()[:count].reshape((nodes, columns)),
+        w.e.ravel()[:count].reshape((nodes, columns)),
+        w.f.ravel()[:count].reshape((nodes, columns)),
+        w.star.ravel()[:count].reshape((nodes, columns)),
+        w.e_middle.ravel()[:count].reshape((nodes, columns)),
         w.reduced,
-    )  # fmt: skip
+    )
 
 
 @njit
@@ -206,9 +209,7 @@ def _largest(diagonal: FloatArray, n: int) -> tuple[int, float]:
 
 
 @njit
-def first_pass(
-    X: Blocks, offsets: PerturbedOffsets, step: LaneStep, state: State, L: FloatArray, w: Workspace
-) -> None:  # fmt: skip
+def first_pass(X: Blocks, offsets: PerturbedOffsets, step: LaneStep, state: State, L: FloatArray, w: Workspace) -> None:
     """Propagate Gamma, the sensitivities, the factor of the covariance and where wanted F through one step of a lane.
 
     X, offsets : blocks of the perturbed lanes, and where those of each lane are
@@ -408,7 +409,7 @@ def _condition_on(
         return
     nu, variance, out[LOG_LIKELIHOOD] = innovation(
         readings.lower[lane, k], readings.upper[lane, k], out[PREDICTED], out[PREDICTED_VARIANCE]
-    )  # fmt: skip
+    )
     out[INNOVATION], out[VARIANCE] = nu, variance
     # Copies: the loops below overwrite row q with its own update before they are done with the other readings.
     cross, covariance, inverse = batch.cross[q], batch.covariance[q].copy(), 1.0 / variance

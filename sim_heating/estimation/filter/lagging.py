@@ -41,9 +41,12 @@ class LaggingFilter(OnlineFilter):
     """
 
     def __init__(
-        self, points: Sequence[FilterTrack], priors: Sequence[Mapping[str, Prior]], corrects_mesh: bool,
+        self,
+        points: Sequence[FilterTrack],
+        priors: Sequence[Mapping[str, Prior]],
+        corrects_mesh: bool,
         lagging: Lagging,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(points, priors, corrects_mesh)
         self.lagging = lagging
         count, m = len(lagging.number), self._size[1]

@@ -61,9 +61,12 @@ class LaneParameters:
         """No reading is known, and each point is linearised at the means of its priors."""
         lanes, m = len(self._points), self._columns
         information = Information(
-            np.zeros((lanes, m, m)), np.zeros((lanes, m)), np.zeros((lanes, m, m)), np.zeros((lanes, m)),
+            np.zeros((lanes, m, m)),
             np.zeros((lanes, m)),
-        )  # fmt: skip
+            np.zeros((lanes, m, m)),
+            np.zeros((lanes, m)),
+            np.zeros((lanes, m)),
+        )
         for i, priors in enumerate(self._priors):
             lane = self._lane_of[i]
             # parameters that another point has more of: known exactly, without effect

@@ -342,9 +342,11 @@ class FilterMarch(LinearMarch):
         count = max(len(p.samples.time_s) for p in points) if keep else 0
         size = (steps + 1, n + 1, n + 1)
         history = SmootherHistory(
-            np.zeros((lanes, *size[:2])), np.zeros((lanes, *size)), np.zeros((lanes, max(steps, 0), *size[1:])),
+            np.zeros((lanes, *size[:2])),
+            np.zeros((lanes, *size)),
+            np.zeros((lanes, max(steps, 0), *size[1:])),
             np.zeros((lanes, count, n + 1)),
-        )  # fmt: skip
+        )
         for i, point in enumerate(points if keep else ()):
             lane, nodes = self._lane_of[i], point.mesh.nodes
             history.mean[lane, 0, :nodes] = initial_profile(self.tracks[i])

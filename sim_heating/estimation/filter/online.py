@@ -384,8 +384,9 @@ class OnlineFilter(FilterMarch):
         """
         lane = int(self._lane_of[i])
         lower, upper = self._parameters.bounds[i]
-        if not shift_linearisation(self._group.B, self._state_now, self._information, lane,
-                                   int(self._nodes[lane]), moved, lower, upper):  # fmt: skip
+        if not shift_linearisation(
+            self._group.B, self._state_now, self._information, lane, int(self._nodes[lane]), moved, lower, upper
+        ):
             return False
         self._write_model(i)
         return True
@@ -395,9 +396,12 @@ class OnlineFilter(FilterMarch):
         state, (n, m) = self._state_now, self._size
         lanes = len(self.points)
         outlook = Outlook(
-            np.full((lanes, n + 1), np.nan), np.full((lanes, n + 1), np.nan), np.zeros((lanes, m)),
-            np.zeros((lanes, m, m)), np.full((lanes, 3), np.nan),
-        )  # fmt: skip
+            np.full((lanes, n + 1), np.nan),
+            np.full((lanes, n + 1), np.nan),
+            np.zeros((lanes, m)),
+            np.zeros((lanes, m, m)),
+            np.full((lanes, 3), np.nan),
+        )
         read_estimates(
             self._group.B, self._X.end, self._columns, state, self._information, self._heated_at, self._declared,
             self._stepped, outlook,

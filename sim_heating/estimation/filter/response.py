@@ -111,9 +111,11 @@ class ResponseMarch(FilterMarch):
         self._begin([p.initial_K for p in self.points] if initial_K is None else list(initial_K))
         columns = n + 1 if derivative else 0
         output = MarchOutput(
-            np.zeros((lanes, steps + 1, n)), np.full((lanes, count), np.nan), np.zeros((lanes, steps, n, columns)),
+            np.zeros((lanes, steps + 1, n)),
+            np.full((lanes, count), np.nan),
+            np.zeros((lanes, steps, n, columns)),
             np.zeros((lanes, count, columns)),
-        )  # fmt: skip
+        )
         group, X = self._copies()
         march_response(
             group, X, self._groups, self._offsets(1), self._flights, readings, add, workspace(n, n + 2), output
@@ -127,10 +129,12 @@ class ResponseMarch(FilterMarch):
         nodes, s = point.mesh.nodes, point.samples
         z = slice(nodes + 1)
         response = Response(
-            output.temperature_K[lane, :, :nodes], s.gain * output.read_K[lane, : len(step)] + s.bias_K,
-            output.transition[lane, :, :nodes, z], s.gain[:, np.newaxis] * output.rows[lane, : len(step), z],
+            output.temperature_K[lane, :, :nodes],
+            s.gain * output.read_K[lane, : len(step)] + s.bias_K,
+            output.transition[lane, :, :nodes, z],
+            s.gain[:, np.newaxis] * output.rows[lane, : len(step), z],
             step,
-        )  # fmt: skip
+        )
         if not np.all(np.isfinite(response.read_K)):
             raise RunError(
                 f"{point.model.name}: a filtered temperature is not a number; "

@@ -108,9 +108,7 @@ def middle_K(lower_K: FloatArray, upper_K: FloatArray) -> FloatArray:
 
     Source: docs/theory/estimation_statistics.md, equation 12.
     """
-    return np.where(
-        np.isfinite(lower_K), np.where(np.isfinite(upper_K), 0.5 * (lower_K + upper_K), lower_K), upper_K
-    )  # fmt: skip
+    return np.where(np.isfinite(lower_K), np.where(np.isfinite(upper_K), 0.5 * (lower_K + upper_K), lower_K), upper_K)
 
 
 @dataclass(frozen=True, eq=False)

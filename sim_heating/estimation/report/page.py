@@ -105,9 +105,11 @@ def _errors_section(estimate: Estimate) -> Section:
         if errors is not None:
             rows.append([label, errors.rmse_K, errors.max_abs_K, errors.n])
     columns = [
-        Column(""), Column("RMSE", format=".2f", unit="K"), Column("largest", format=".1f", unit="K"),
+        Column(""),
+        Column("RMSE", format=".2f", unit="K"),
+        Column("largest", format=".1f", unit="K"),
         Column("samples", format=".0f"),
-    ]  # fmt: skip
+    ]
     caption = "Errors of the plain march, with no measurement assimilated; held-out samples entered no fit."
     samples = samples_in_words((estimate.model_extra or {}).get("samples", {}))
     caption += f" {samples[0].upper()}{samples[1:]}." if samples else ""
@@ -167,11 +169,13 @@ def trend_page(trend: Trend, picture: Path) -> Page:
     if record.ratio_table is not None:
         curves.append(Curve("declared model, same conditions", middle, declared, BEFORE))
     chart = Chart(
-        "Heating ratio", [Panel("heating ratio", curves, limits=ratio_limits(trend)), *flown_panels(record.conditions)],
+        "Heating ratio",
+        [Panel("heating ratio", curves, limits=ratio_limits(trend)), *flown_panels(record.conditions)],
         "The heating ratio of each segment at its middle; band: 2 sigma. The first view shows segments whose ratio is "
         "known to half of itself, triangles those beyond.",
-        (float(segments[0].start_s), float(segments[-1].end_s)), picture=SavedPicture(picture),
-    )  # fmt: skip
+        (float(segments[0].start_s), float(segments[-1].end_s)),
+        picture=SavedPicture(picture),
+    )
     rows = [[f"{s.start_s:g} to {s.end_s:g} s", s.samples, s.ratio, s.sigma, s.declared, s.misfit] for s in segments]
     columns = [
         Column("segment"), Column("samples"), Column("ratio", format=".5g"), Column("sigma", format=".2g"),
@@ -179,8 +183,11 @@ def trend_page(trend: Trend, picture: Path) -> Page:
     ]  # fmt: skip
     sections = [
         Section("Heating ratio", charts=[chart]),
-        Section("Segments", points=[f"left out: {line}" for line in trend.left_out],
-                tables=[Table("", columns, rows, sortable=len(rows) > SORTABLE)]),
-    ]  # fmt: skip
+        Section(
+            "Segments",
+            points=[f"left out: {line}" for line in trend.left_out],
+            tables=[Table("", columns, rows, sortable=len(rows) > SORTABLE)],
+        ),
+    ]
     subtitle = f"Record {record.name}, control point {record.declared.control_point}: consecutive segments"
     return Page(record.declared.title or record.declared.control_point, subtitle, sections, warnings=trend.warnings)

@@ -74,12 +74,17 @@ def tables_of_body_points(
         if away[rows].max() > farthest_m:
             continue
         columns = {"alpha_deg": cases[:, 0], "beta_deg": cases[:, 1], "log10_re": cases[:, 2], "ratio": ratio[rows]}
-        header = {"control_point": name, "source": f"body points of {Path(path).name}",
-                  "farthest_body_point_m": f"{away[rows].max():.4g}"}  # fmt: skip
+        header = {
+            "control_point": name,
+            "source": f"body points of {Path(path).name}",
+            "farthest_body_point_m": f"{away[rows].max():.4g}",
+        }
         tables[name] = table_of_text(Path(path), csv_text(columns, None, header | _named(reference)))
     if not tables:
-        raise InputError(f"{where}: no control point has a body point of every case within {farthest_m:g} m (the "
-                         f"nearest is {nearest_m:.3g} m away); check axes and units, or --farthest")  # fmt: skip
+        raise InputError(
+            f"{where}: no control point has a body point of every case within {farthest_m:g} m (the "
+            f"nearest is {nearest_m:.3g} m away); check axes and units, or --farthest"
+        )
     return tables
 
 

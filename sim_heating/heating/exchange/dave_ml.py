@@ -224,9 +224,10 @@ class DaveModel:
     def inputs(self) -> tuple[str, ...]:
         """Identifiers of the variables that neither a calculation, a function nor an initial value gives."""
         return tuple(
-            i for i, v in self.variables.items()
+            i
+            for i, v in self.variables.items()
             if v.calculation is None and i not in self.by_result and "initialValue" not in v.attributes
-        )  # fmt: skip
+        )
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
@@ -321,8 +322,10 @@ class _Reader:
 
     def __init__(self, root: ET.Element) -> None:
         self.root = root
-        self.breakpoints = {e.get("bpID", ""): _numbers(_child(e, "bpVals"), f"breakpointDef `{e.get('bpID')}`")
-                            for e in _children(root, "breakpointDef")}  # fmt: skip
+        self.breakpoints = {
+            e.get("bpID", ""): _numbers(_child(e, "bpVals"), f"breakpointDef `{e.get('bpID')}`")
+            for e in _children(root, "breakpointDef")
+        }
         self.tables: dict[str, Table] = {}
         for e in _children(root, "griddedTableDef"):
             self.tables[e.get("gtID", "")] = self.gridded(e)
@@ -368,9 +371,10 @@ class _Reader:
         names = {v.name: i for i, v in reversed(variables.items())}
         functions = tuple(self.function(e) for e in _children(self.root, "function"))
         cases = tuple(
-            _case(e, variables, names) for data in _children(self.root, "checkData")
+            _case(e, variables, names)
+            for data in _children(self.root, "checkData")
             for e in _children(data, "staticShot")
-        )  # fmt: skip
+        )
         author = next(iter(_children(header, "author")), None)
         date = next(iter(_children(header, "creationDate")), None)
         return DaveModel(

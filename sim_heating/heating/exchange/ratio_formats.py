@@ -82,7 +82,7 @@ def dave_ml_of(table: RatioTable) -> DaveModel:
             DESCRIPTIONS.get(n, "film coefficient over the reference film coefficient, " + n),
         )
         for n in names
-    }  # fmt: skip
+    }
     ends = tuple((float(a[0]), float(a[-1])) for a in table.axes)
     extrapolation = ("neither",) * len(RATIO_VARIABLES)
     functions = tuple(

@@ -88,14 +88,20 @@ class Statement:
 
 
 OPTION = Statement(
-    "give", "--field {quote}{column}={name}:{unit}{quote}", "--field {column}=NAME",
-    " (or a constant, --field {column}=0deg)", " ",
-)  # fmt: skip
+    "give",
+    "--field {quote}{column}={name}:{unit}{quote}",
+    "--field {column}=NAME",
+    " (or a constant, --field {column}=0deg)",
+    " ",
+)
 """By options of `new record` and `new scenario`."""
 TABLE = Statement(
-    "give in [trajectory.fields]", '{column} = {{ field = "{name}", unit = "{unit}" }}', '{column} = "NAME"',
-    " (or a constant, {column} = {{ constant = 0.0 }})", ", ",
-)  # fmt: skip
+    "give in [trajectory.fields]",
+    '{column} = {{ field = "{name}", unit = "{unit}" }}',
+    '{column} = "NAME"',
+    " (or a constant, {column} = {{ constant = 0.0 }})",
+    ", ",
+)
 """By a table of a scenario."""
 NAMES = Statement("write", "`{name} ({unit})`", "`{column}`", "", ", ")
 """By the names of the file alone."""

@@ -299,10 +299,13 @@ class LiveEstimator:
     def _estimate(self, i: int, point: LivePoint, state: PointEstimate) -> LiveEstimate:
         bond = point.mesh.bondline
         return LiveEstimate(
-            float(state.temperature_K[0]), float(state.sigma_K[0]),
-            float(state.temperature_K[bond]), float(state.sigma_K[bond]),
-            self._sensors.predicted(i, point, state, self.stepper.filters[i // LANES]), state,
-        )  # fmt: skip
+            float(state.temperature_K[0]),
+            float(state.sigma_K[0]),
+            float(state.temperature_K[bond]),
+            float(state.sigma_K[bond]),
+            self._sensors.predicted(i, point, state, self.stepper.filters[i // LANES]),
+            state,
+        )
 
     def start_of(self, point: str) -> Profile:
         """(node,) temperatures that a point began with [K], and their (node, node) covariance [K2].

@@ -80,9 +80,12 @@ class VehiclePoints:
     """
 
     def __init__(
-        self, vehicle: Vehicle, names: Sequence[str] | None = None, nodes: int | None = None,
+        self,
+        vehicle: Vehicle,
+        names: Sequence[str] | None = None,
+        nodes: int | None = None,
         parameters: Mapping[str, float] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         points = [vehicle.control_point(n) for n in (vehicle.control_points if names is None else names)]
         models = [replace(point_of_vehicle(vehicle, p, parameters), reference=_middle(p.ratio)) for p in points]
         meshed = _meshed(models, nodes)

@@ -203,9 +203,12 @@ class Timeline:
             before_s, before_K = last.get(number, NOTHING_BEFORE)
             # No comparison holds of what is no number.
             if not (
-                first_s < t <= until_s and t > before_s and number >= 0 and -math.inf < value_K < math.inf
+                first_s < t <= until_s
+                and t > before_s
+                and number >= 0
+                and -math.inf < value_K < math.inf
                 and (t > behind_s or (t == behind_s and number > behind))
-            ):  # fmt: skip
+            ):
                 return count
             ordered.append((t, number, value_K))
             if gate_K is not None:

@@ -71,9 +71,12 @@ class Display:
             declared = vehicle.control_point(name)
             limits = {"surface_K": declared.limits.surface_K, "bondline_K": declared.limits.bondline_K}
             points[name] = ShownPoint(
-                declared.title, declared.position_m, {k: v for k, v in limits.items() if v is not None},
-                shown_sensors(declared.construction.stack, declared.sensors), declared.ratio,
-            )  # fmt: skip
+                declared.title,
+                declared.position_m,
+                {k: v for k, v in limits.items() if v is not None},
+                shown_sensors(declared.construction.stack, declared.sensors),
+                declared.ratio,
+            )
         return cls(title or vehicle.title, points)
 
     @classmethod
@@ -94,11 +97,14 @@ class Display:
         """What the page asks for once; tables are asked for by `table_curve`, as they change with the flight."""
         points = {
             name: {
-                "title": shown.title, "position_m": shown.position_m, "limits": shown.limits, "sensors": shown.sensors,
+                "title": shown.title,
+                "position_m": shown.position_m,
+                "limits": shown.limits,
+                "sensors": shown.sensors,
                 "table": shown.table is not None,
             }
             for name, shown in self.points.items()
-        }  # fmt: skip
+        }
         contents: dict[str, Any] = plain({"title": self.title, "points": points})
         return contents
 

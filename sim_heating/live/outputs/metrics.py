@@ -41,10 +41,13 @@ LINK = {
     "link_lateness_seconds": ("lateness_s", "largest lateness of a sample that was still used"),
 }
 COUNTS = {
-    "link_late": "samples put where they belong", "link_too_late": "samples too late to be used",
-    "link_doubled": "doubled samples", "link_damaged": "messages that could not be read", "link_lost": "lost words",
+    "link_late": "samples put where they belong",
+    "link_too_late": "samples too late to be used",
+    "link_doubled": "doubled samples",
+    "link_damaged": "messages that could not be read",
+    "link_lost": "lost words",
     "link_jumps": "jumps of the clock",
-}  # fmt: skip
+}
 PHASES = ("waiting", "live", "stalled", "ended")
 PREFIX = "sim_heating_"
 

@@ -74,11 +74,9 @@ def _brief(point: PointState) -> PointState:
 def _without_histories(ahead: Mapping[str, AheadState]) -> dict[str, AheadState]:
     none: tuple[float, ...] = ()
     return {
-        name: replace(
-            future, time_s=none, surface_K=none, surface_sigma_K=none, bondline_K=none, bondline_sigma_K=none
-        )
+        name: replace(future, time_s=none, surface_K=none, surface_sigma_K=none, bondline_K=none, bondline_sigma_K=none)
         for name, future in ahead.items()
-    }  # fmt: skip
+    }
 
 
 class Latest:

@@ -260,9 +260,10 @@ class PageServer:
         else:
             cookie = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
             tokens = [
-                _query(scope, "token"), "" if cookie is None else cookie.value,
+                _query(scope, "token"),
+                "" if cookie is None else cookie.value,
                 headers.get("authorization", "").removeprefix("Bearer "),
-            ]  # fmt: skip
+            ]
             if not any(hmac.compare_digest(g.encode(), self.token.encode()) for g in tokens):
                 return "this page needs its token: open the address that the program printed\n", 401
         if scope["type"] == "websocket" and site is not None and site != host:
@@ -276,8 +277,9 @@ class PageServer:
         from starlette.routing import Route, WebSocketRoute
 
         answers: dict[str, Callable[[Request], Awaitable[Response]]] = {
-            "/state.json": self._state, "/metrics": self._metrics_text,
-        }  # fmt: skip
+            "/state.json": self._state,
+            "/metrics": self._metrics_text,
+        }
         sockets: list[WebSocketRoute] = []
         if self.has_page:
             answers |= {"/static.json": self._static, "/history.json": self._history_of, "/curve.json": self._curve}

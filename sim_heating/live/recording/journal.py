@@ -316,9 +316,12 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def require_usable(
-    path: Path, link: Mapping[str, Any], means: Mapping[str, Any] | None = None, sent_again: str = "",
+    path: Path,
+    link: Mapping[str, Any],
+    means: Mapping[str, Any] | None = None,
+    sent_again: str = "",
     has_results: bool = True,
-) -> None:  # fmt: skip
+) -> None:
     """Check before any work that a link can write the journal at a path; changes nothing.
 
     link        : contents of the link file, as plain data;  means : what its messages mean (`same_link.meaning`)

@@ -67,9 +67,12 @@ def _estimates(state: State) -> Section:
         for label, parameter in p.parameters.items()
     ]
     columns = [
-        Column("control point"), Column("parameter", is_text=True), Column("estimate", format=".4g"),
-        Column("sigma", format=".2g"), Column("unit", is_text=True),
-    ]  # fmt: skip
+        Column("control point"),
+        Column("parameter", is_text=True),
+        Column("estimate", format=".4g"),
+        Column("sigma", format=".2g"),
+        Column("unit", is_text=True),
+    ]
     tables = [
         Table("Temperatures at the end", [Column("control point"), *kelvin], bounds),
         Table("Parameters at the end, with all readings", columns, fitted),
@@ -153,8 +156,11 @@ def _came(engine: LinkEngine, state: State) -> Section:
     counts, health = engine.counts, state.link
     rows: Sequence[tuple[str, int]] = [
         *((name, counts[name]) for name in ("messages", "frames", "readings")),
-        ("readings lost", health.lost), ("late, put where they belong", health.late),
-        ("too late, not used", health.too_late), ("doubled", health.doubled), ("damaged", health.damaged),
+        ("readings lost", health.lost),
+        ("late, put where they belong", health.late),
+        ("too late, not used", health.too_late),
+        ("doubled", health.doubled),
+        ("damaged", health.damaged),
         ("clock jumps", health.jumps),
-    ]  # fmt: skip
+    ]
     return Section("What came", tables=[Table("", [Column("what"), Column("number", format=".0f")], rows)])

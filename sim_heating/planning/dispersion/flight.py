@@ -230,9 +230,12 @@ class EntrySampler:
             np.array([[1.0 + d.get(name, 0.0) for name in AERO_FACTORS] for d in deviations]),
         )
         flights = SampledFlights(
-            np.empty((count, self.frames, len(ROW))), np.zeros(count, dtype=np.int64),
-            np.zeros(count, dtype=np.int64), np.zeros(count), np.zeros(count),
-        )  # fmt: skip
+            np.empty((count, self.frames, len(ROW))),
+            np.zeros(count, dtype=np.int64),
+            np.zeros(count, dtype=np.int64),
+            np.zeros(count),
+            np.zeros(count),
+        )
         fly_kernel(entries, self.script, self.tables, self.dt_s, self.every, flights)
         return flights
 

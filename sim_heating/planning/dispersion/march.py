@@ -109,9 +109,11 @@ class LaneMarch:
         ]
         # Packed once for the whole study; every march restores the initial state and writes what is dispersed.
         self.ensemble = Ensemble(
-            lanes, [mesh for mesh in meshes for _ in range(LANES)], max(step_s, SOAK_STEP_S),
+            lanes,
+            [mesh for mesh in meshes for _ in range(LANES)],
+            max(step_s, SOAK_STEP_S),
             tolerance_K=STEP_TOLERANCE_K,
-        )  # fmt: skip
+        )
         self._initial_state = self.ensemble.snapshot()
         self._groups = [self.ensemble.lane_offsets[p * LANES].group for p in range(len(points))]
         self._lanes = [self.ensemble.writer.lanes_of(range(p * LANES, (p + 1) * LANES)) for p in range(len(points))]

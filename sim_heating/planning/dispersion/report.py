@@ -135,12 +135,15 @@ def _peak_table(result: DispersionResult) -> Table:
     )  # fmt: skip
     rows = [
         (
-            f"{a.point} {a.location}", a.mean_K, a.sigma_K,
+            f"{a.point} {a.location}",
+            a.mean_K,
+            a.sigma_K,
             *(("-" if q.value is None else f"{q.value:.0f}") + _bounds(q.low, q.high) for q in a.quantiles),
-            a.limit, _exceedance(a),
+            a.limit,
+            _exceedance(a),
         )
         for a in result.peaks
-    ]  # fmt: skip
+    ]
     title = f"Peak temperatures [K] of {spec.flights} flights, in brackets bounds of {spec.confidence:.0%}"
     return Table(title, columns, rows)
 
@@ -157,10 +160,13 @@ def _exceedance(peak: PeakStatistics) -> str | None:
 
 def _first_order_table(result: DispersionResult) -> Table:
     columns: tuple[Column | str, ...] = (
-        "control point", Column("mean flight", format=".0f"), Column("sigma", format=".1f"),
+        "control point",
+        Column("mean flight", format=".0f"),
+        Column("sigma", format=".1f"),
         Column("counted", format=".1f"),
-        *(Column(f"{q:g} quantile", format="+.1f") for q in result.entry.spec.quantiles), "holds",
-    )  # fmt: skip
+        *(Column(f"{q:g} quantile", format="+.1f") for q in result.entry.spec.quantiles),
+        "holds",
+    )
     rows = [
         (
             f"{a.point} {a.location}", a.first["mean_K"], a.first["sigma_K"], a.sigma_K,

@@ -135,9 +135,7 @@ def read_columns(files: Sequence[Path]) -> Columns:
             parts.append(pq.read_table(path))
         except (OSError, ValueError) as error:
             raise InputError(f"{path}: is damaged ({' '.join(str(error).split())}); remove it and run again") from None
-    return {
-        name: np.concatenate([p.column(name).to_numpy() for p in parts]) for name in parts[0].column_names
-    }  # fmt: skip
+    return {name: np.concatenate([p.column(name).to_numpy() for p in parts]) for name in parts[0].column_names}
 
 
 def merge(files: Sequence[Path], path: Path) -> None:
@@ -398,9 +396,12 @@ def _compare_first_order(
         lines.append({"q": quantile.q, "value_K": value, "difference_K": difference, "holds": holds})
     shares = {name: float(order.share(columns)[k, p]) for name, columns in entry.groups}
     return {
-        "mean_K": float(order.mean[k, p]), "sigma_K": float(order.sigma[k, p]), "quantiles": lines,
-        "holds": all(line["holds"] for line in lines), "variance_share": shares,
-    }  # fmt: skip
+        "mean_K": float(order.mean[k, p]),
+        "sigma_K": float(order.sigma[k, p]),
+        "quantiles": lines,
+        "holds": all(line["holds"] for line in lines),
+        "variance_share": shares,
+    }
 
 
 def _table_excursions(entry: DispersedEntry, columns: Columns) -> tuple[list[RatioTableExcursion], BoolArray]:

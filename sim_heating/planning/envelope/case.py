@@ -207,11 +207,13 @@ class BaseEntry:
         state = {k: v for k in ("cg_fraction", "cm_shift", "mass_kg") if (v := getattr(case, k)) is not None}
         factors = self.spec.dispersions.density_factor or ((0.0, 1.0),)
         density = tuple((h, case.density_factor * f) for h, f in factors)
-        spec = self.spec.model_copy(update={
-            "guidance": self.spec.guidance.model_copy(update=guidance),
-            "vehicle": self.spec.vehicle.model_copy(update=state),
-            "dispersions": self.spec.dispersions.model_copy(update={"density_factor": density}),
-        })  # fmt: skip
+        spec = self.spec.model_copy(
+            update={
+                "guidance": self.spec.guidance.model_copy(update=guidance),
+                "vehicle": self.spec.vehicle.model_copy(update=state),
+                "dispersions": self.spec.dispersions.model_copy(update={"density_factor": density}),
+            }
+        )
         return spec if case.bodyflap_deg is None else self._with_bodyflap(spec, case.bodyflap_deg)
 
     def _with_bodyflap(self, spec: TrajectorySpec, bodyflap_deg: float) -> TrajectorySpec:

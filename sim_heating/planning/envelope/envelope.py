@@ -57,9 +57,12 @@ def base_entry(study: Study) -> BaseEntry:
     envelope = study.declared.envelope
     assert envelope is not None  # only an envelope has cases
     return BaseEntry(
-        study.base.declared.trajectory, study.vehicle, station_width=envelope.station_width,
-        elevon_arm_m=envelope.elevon_arm_m, bodyflap_above_mach=envelope.bodyflap_above_mach,
-    )  # fmt: skip
+        study.base.declared.trajectory,
+        study.vehicle,
+        station_width=envelope.station_width,
+        elevon_arm_m=envelope.elevon_arm_m,
+        bodyflap_above_mach=envelope.bodyflap_above_mach,
+    )
 
 
 def margin_evaluator(study: Study, forecast: ForecastEvidence | None = None) -> MarginEvaluator:

@@ -54,9 +54,11 @@ def picture_stamp(study: Study) -> str:
 def csv_header(study: Study, title: str) -> dict[str, str]:
     """Header of a CSV file: title, study, vehicle, revision."""
     return {
-        "title": title, "study": f"{study.title}, {study.hash}", "vehicle": study.vehicle.name,
+        "title": title,
+        "study": f"{study.title}, {study.hash}",
+        "vehicle": study.vehicle.name,
         "revision": revision_label(study),
-    }  # fmt: skip
+    }
 
 
 # Maps ----------------------------------------------------------------------------------------------------------------

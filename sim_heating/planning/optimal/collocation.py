@@ -126,10 +126,12 @@ class Motion:
         k = cells_of(self.mesh, tau)
         inside = (tau - self.mesh[k]) / (self.mesh[k + 1] - self.mesh[k])
         points = _points()
-        weights = np.array([
-            np.prod([(inside - q) / (p - q) for j, q in enumerate(points) if j != i], axis=0)
-            for i, p in enumerate(points)
-        ])  # fmt: skip
+        weights = np.array(
+            [
+                np.prod([(inside - q) / (p - q) for j, q in enumerate(points) if j != i], axis=0)
+                for i, p in enumerate(points)
+            ]
+        )
         return sum(weights[i] * self.states[:, DEGREE * k + i] for i in range(DEGREE + 1))
 
 
@@ -233,9 +235,11 @@ class Transcription:
         path = np.tile(np.asarray(bounds.path or [np.inf] * self.paths, dtype=float), DEGREE * self.count)
         lowest, turns = np.full(len(path), -np.inf), np.ones(len(self._limited_rates) * self.count)
         return {
-            "lbx": low, "ubx": high,
-            "lbg": np.concatenate((equal, lowest, -turns)), "ubg": np.concatenate((equal, path, turns)),
-        }  # fmt: skip
+            "lbx": low,
+            "ubx": high,
+            "lbg": np.concatenate((equal, lowest, -turns)),
+            "ubg": np.concatenate((equal, path, turns)),
+        }
 
     def solve(self, guess: Motion, bounds: UpperBounds = FREE) -> Motion:
         """The best motion within the bounds.

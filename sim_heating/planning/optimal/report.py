@@ -68,11 +68,14 @@ def _peak_table(entry: OptimalEntry) -> Table:
     columns: list[Column | str] = ["control point", *(Column(head, format=".0f") for head in heads)]
     rows = [
         (
-            p.point, p.surface_K, p.surface_limit_K if np.isfinite(p.surface_limit_K) else None,
-            p.bondline_K, p.bondline_limit_K,
+            p.point,
+            p.surface_K,
+            p.surface_limit_K if np.isfinite(p.surface_limit_K) else None,
+            p.bondline_K,
+            p.bondline_limit_K,
         )
         for p in entry.peaks
-    ]  # fmt: skip
+    ]
     return Table("Peak temperatures along the optimal entry [K]", columns, rows)
 
 

@@ -132,19 +132,21 @@ class EntrySearch:
         return OptimalControlProblem(
             model=ca.Function("model", [x, u], [ca.vertcat(*rates, *load_rates), ca.vertcat(*paths)]),
             goal=od.cross_range_function(start, self.side),
-            scale=np.concatenate((od.SCALE, loads)), control_scale=od.CONTROL_SCALE,
+            scale=np.concatenate((od.SCALE, loads)),
+            control_scale=od.CONTROL_SCALE,
             lower=np.concatenate((self._lowest(), -10.0 * loads)),
             upper=np.concatenate((self._highest(), 10.0 * loads)),
             control_lower=np.array([file.alpha_limits_deg[0], file.bank_limits_deg[0]]),
             control_upper=np.array([file.alpha_limits_deg[1], file.bank_limits_deg[1]]),
             start=start,
             end={
-                od.ALTITUDE: file.end.altitude_m, od.SPEED: file.end.velocity_m_s,
+                od.ALTITUDE: file.end.altitude_m,
+                od.SPEED: file.end.velocity_m_s,
                 od.GAMMA: np.radians(file.end.gamma_deg),
             },
             duration_s=(file.duration_s[0], file.duration_s[1]),
             control_rates=np.array([limits.alpha_rate_deg_s or np.inf, limits.bank_rate_deg_s or np.inf]),
-        )  # fmt: skip
+        )
 
     @property
     def side(self) -> float:
@@ -353,8 +355,9 @@ class OptimalEntry:
         kept = []
         for p in self.peaks:
             for where, value, limit in (
-                ("surface", p.surface_K, p.surface_limit_K), ("bondline", p.bondline_K, p.bondline_limit_K)
-            ):  # fmt: skip
+                ("surface", p.surface_K, p.surface_limit_K),
+                ("bondline", p.bondline_K, p.bondline_limit_K),
+            ):
                 if limit is not None and np.isfinite(limit) and value <= limit:
                     kept.append(f"{p.point} {where} {value:.0f} of {limit:.0f} K")
         return kept + [str(p) for p in self.flight_peaks if p.kept]
@@ -411,9 +414,11 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
             raise RunError(_failure(study, rounds, str(error))) from None
         peaks = search.peaks(search.march(search.conditions(motion), search.models))
         worst = float(np.max(motion.errors))
-        rounds.append(OptimisationRound(
-            float(np.degrees(motion.goal)), motion.duration_s, len(motion.mesh) - 1, worst, motion.iterations, peaks
-        ))  # fmt: skip
+        rounds.append(
+            OptimisationRound(
+                float(np.degrees(motion.goal)), motion.duration_s, len(motion.mesh) - 1, worst, motion.iterations, peaks
+            )
+        )
         progress(_round_line(rounds[-1]))
         changed = _steer(steering, search, motion, peaks, study.declared.tolerance_K)
         finer = refined_mesh(motion, study.declared.mesh_tolerance, BEND)

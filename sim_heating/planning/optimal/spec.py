@@ -163,9 +163,11 @@ def tabulated_alpha_deg(vehicle: Vehicle) -> tuple[float, float]:
         alpha_deg = load_aero(vehicle.directory).basic.alpha_deg
     except InputError as error:
         raise InputError(
-            *(f"{line}; an optimal entry needs aerodynamic tables, as `sim-heating new vehicle` writes them"
-              for line in error.problems)
-        ) from None  # fmt: skip
+            *(
+                f"{line}; an optimal entry needs aerodynamic tables, as `sim-heating new vehicle` writes them"
+                for line in error.problems
+            )
+        ) from None
     return float(alpha_deg[0]), float(alpha_deg[-1])
 
 

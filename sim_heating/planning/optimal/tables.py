@@ -110,9 +110,9 @@ def lift_drag(study: OptimalStudy, aero: Aerodynamics) -> Any:
     """(mach, alpha) -> CL, CD as a spline."""
     alpha = _alphas(study)
     speed = MACHS * 300.0
-    values = np.array([
-        [aero.at(float(m), float(a), float(v))[:2] for a in alpha] for m, v in zip(MACHS, speed, strict=True)
-    ])  # fmt: skip
+    values = np.array(
+        [[aero.at(float(m), float(a), float(v))[:2] for a in alpha] for m, v in zip(MACHS, speed, strict=True)]
+    )
     return _spline("lift_drag", [MACHS, alpha], np.moveaxis(values, 2, 0))
 
 

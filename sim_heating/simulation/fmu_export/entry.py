@@ -50,9 +50,12 @@ TRIGGERS = (
     ("mach", "begins where the Mach number falls through a value"),
 )
 CHANNELS = (
-    ("alpha", "angle of attack [deg]"), ("beta", "sideslip [deg]"), ("elevon", "elevon about its trim [deg]"),
-    ("bodyflap", "body flap about its schedule [deg]"), ("jets", "reaction jets, 0 to 1"),
-)  # fmt: skip
+    ("alpha", "angle of attack [deg]"),
+    ("beta", "sideslip [deg]"),
+    ("elevon", "elevon about its trim [deg]"),
+    ("bodyflap", "body flap about its schedule [deg]"),
+    ("jets", "reaction jets, 0 to 1"),
+)
 PITCHES = (
     ("closed", "the elevon trims as usual"),
     ("jets_hold", "jets hold the angle of attack"),
@@ -79,9 +82,12 @@ GUIDANCE = (
 )
 """Scalars of the blocks that may be set: name, place, limits, unit; schedules stay as exported."""
 GUIDANCE_OUTPUTS = (
-    ("mach", gd.MACH, "1"), ("altitude_rate_m_s", gd.CLIMB, "m/s"), ("drag_m_s2", gd.DRAG, "m/s2"),
-    ("lift_m_s2", gd.LIFT, "m/s2"), ("net_gravity_m_s2", gd.NET_GRAVITY, "m/s2"),
-)  # fmt: skip
+    ("mach", gd.MACH, "1"),
+    ("altitude_rate_m_s", gd.CLIMB, "m/s"),
+    ("drag_m_s2", gd.DRAG, "m/s2"),
+    ("lift_m_s2", gd.LIFT, "m/s2"),
+    ("net_gravity_m_s2", gd.NET_GRAVITY, "m/s2"),
+)
 """Outputs in addition to the frame, for the guidance of a host: name, place, unit."""
 NOMINAL = {"altitude_m": 1e5, "velocity_m_s": 7e3, "rho_kg_m3": 1e-4}
 
@@ -220,8 +226,11 @@ class _EntryPacker(ImagePacker):
 
     def _name_manoeuvre(self, m: int, script: int, chosen: int, first: int, points: int) -> None:
         manoeuvre = f"manoeuvre[{m + 1}]"
-        kinds = (("trigger", TRIGGERS, "what triggers it"), ("moves", CHANNELS, "what it varies"),
-                 ("pitch", PITCHES, "pitch axis meanwhile"))  # fmt: skip
+        kinds = (
+            ("trigger", TRIGGERS, "what triggers it"),
+            ("moves", CHANNELS, "what it varies"),
+            ("pitch", PITCHES, "pitch axis meanwhile"),
+        )
         for i, (name, choices, text) in enumerate(kinds):
             self.add_choice(f"{manoeuvre}.{name}", Role.FIXED, chosen + i, text, choices)
         text = "time [s], speed [m/s] or Mach number at which it begins"

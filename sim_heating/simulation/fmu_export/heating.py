@@ -375,9 +375,10 @@ class _HeatingPacker(ImagePacker):
         first = self.image.add_tables(tables)
         numbers[:, turbulent] += np.where(numbers[:, turbulent] >= 0.0, first, 0.0)
         self.head |= {
-            k.HOST: self.image.add_numbers(host), k.CONSTANTS: self.image.add_numbers(numbers),
+            k.HOST: self.image.add_numbers(host),
+            k.CONSTANTS: self.image.add_numbers(numbers),
             k.N_TABLES: first + len(tables),
-        }  # fmt: skip
+        }
 
     def _pack_points(self) -> None:
         e, image = self.ensemble, self.image
@@ -424,9 +425,12 @@ class _HeatingPacker(ImagePacker):
         all_numbers[written : written + parameters.size] = parameters.ravel()
         image.set_numbers(all_numbers)
         self.head |= {
-            k.POINT_NUMBERS: numbers, k.POINT_INTS: image.add_integers(rows), k.N_SENSORS: len(sensors),
-            k.SENSOR_INTS: image.add_integers(sensors) if sensors else 0, k.WRITTEN: written,
-        }  # fmt: skip
+            k.POINT_NUMBERS: numbers,
+            k.POINT_INTS: image.add_integers(rows),
+            k.N_SENSORS: len(sensors),
+            k.SENSOR_INTS: image.add_integers(sensors) if sensors else 0,
+            k.WRITTEN: written,
+        }
 
     def _name_point(self, point: ControlPoint, model: PointModel, numbers: int) -> None:
         """Add the variables of one point."""
@@ -457,8 +461,9 @@ class _HeatingPacker(ImagePacker):
                 f"{name}.reference.{variable}", Role.TUNABLE, numbers + REFERENCE + i, text, unit, lower, upper
             )
         for output, limit, offset in (
-            ("surface", declared.surface_K, k.P_SURFACE_LIMIT), ("bondline", declared.bondline_K, k.P_BONDLINE_LIMIT)
-        ):  # fmt: skip
+            ("surface", declared.surface_K, k.P_SURFACE_LIMIT),
+            ("bondline", declared.bondline_K, k.P_BONDLINE_LIMIT),
+        ):
             if limit is not None:
                 text = f"highest temperature of the {output}"
                 self.add_number(f"{name}.limit.{output}_K", Role.TUNABLE, numbers + offset, text, "K", 0.0, NO_LIMIT_K)

@@ -162,10 +162,13 @@ def _root(prefix: str, element: str, name: str, text: str) -> ET.Element:
     return ET.Element(
         _tag(prefix, element),
         {
-            "version": "1.0", "name": name, "description": text,
-            "generationTool": f"sim-heating {package_version()}", "generationDateAndTime": generation_time(),
+            "version": "1.0",
+            "name": name,
+            "description": text,
+            "generationTool": f"sim-heating {package_version()}",
+            "generationDateAndTime": generation_time(),
         },
-    )  # fmt: skip
+    )
 
 
 def _structure(system: System, title: str) -> bytes:

@@ -31,9 +31,11 @@ from sim_heating.trajectory.flight import Window
 
 PREDICTED = "tab:blue"
 FLUXES = {
-    "convected_W_m2": "convected", "radiated_W_m2": "radiated", "conducted_W_m2": "conducted",
+    "convected_W_m2": "convected",
+    "radiated_W_m2": "radiated",
+    "conducted_W_m2": "conducted",
     "added_W_m2": "absorbed from the lamp or the sun",
-}  # fmt: skip
+}
 """Heat fluxes of a wall's surface, and their names."""
 
 
@@ -90,9 +92,10 @@ def run_page(
         *_compared_section(compared, pictures.compared),
         Section("Heat at the surface", charts=[heat_chart(points, windows, SavedPicture(pictures.heating))]),
         Section("Trajectory", charts=[trajectory_chart(flown, windows, SavedPicture(pictures.trajectory))]),
-        *_manoeuvres_section(windows, pictures.manoeuvres), _events_section(summary),
+        *_manoeuvres_section(windows, pictures.manoeuvres),
+        _events_section(summary),
         credibility_section(summary["credibility"]),
-    ]  # fmt: skip
+    ]
     return Page(summary["scenario"], subtitle, sections, warnings=list(filter(None, [summary["beyond_reference"]])))
 
 
@@ -185,9 +188,11 @@ def _prediction_errors(summary: Mapping[str, Any]) -> Section:
     errors |= {f"sensor {name}, fit segments": e for name, e in summary["sensors"].items()}
     rows = [[name, e["rmse_K"], e["max_abs_K"], e["n"]] for name, e in errors.items() if e is not None]
     columns = [
-        Column(""), Column("RMSE", format=".2f", unit="K"), Column("largest", format=".1f", unit="K"),
+        Column(""),
+        Column("RMSE", format=".2f", unit="K"),
+        Column("largest", format=".1f", unit="K"),
         Column("samples", format=".0f"),
-    ]  # fmt: skip
+    ]
     caption = "Measured minus predicted; sensors that are not used are in their own rows alone."
     return Section("Errors", tables=[Table(caption, columns, rows, sortable=len(rows) > SORTABLE)])
 
@@ -228,8 +233,11 @@ def records_page(title: str, records: Mapping[str, Record], windows: Sequence[Wi
         for name, r in records.items()
     ]
     columns = [
-        Column("record"), Column("sensors"), Column("readings"), Column("highest reading", format=".0f", unit="K"),
-    ]  # fmt: skip
+        Column("record"),
+        Column("sensors"),
+        Column("readings"),
+        Column("highest reading", format=".0f", unit="K"),
+    ]
     panels = []
     for name, r in records.items():
         styles = distinct_styles(len(r.sensors))

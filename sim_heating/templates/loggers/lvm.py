@@ -104,9 +104,12 @@ def _segment(path: Path, head: Sequence[Row], below: Sequence[Row], header: dict
     else:
         return block, None
     return replace(
-        block, names=("X_Value", *block.names), units=(of_channel("X_Unit_Label", 1) or "s", *block.units),
-        cells=tuple(cells), lines=lines,
-    ), begin[channels[0]]  # fmt: skip
+        block,
+        names=("X_Value", *block.names),
+        units=(of_channel("X_Unit_Label", 1) or "s", *block.units),
+        cells=tuple(cells),
+        lines=lines,
+    ), begin[channels[0]]
 
 
 def _cell(stated: Mapping[str, Sequence[str]], key: str, k: int) -> str:

@@ -61,11 +61,14 @@ class FmuModel:
         interface = d.coSimulation if self.interface == CO_SIMULATION else d.modelExchange
         assert interface is not None
         return {
-            "interface": self.interface, "version": d.fmiVersion, "token": d.guid,
-            "identifier": interface.modelIdentifier, "states": d.numberOfContinuousStates,
+            "interface": self.interface,
+            "version": d.fmiVersion,
+            "token": d.guid,
+            "identifier": interface.modelIdentifier,
+            "states": d.numberOfContinuousStates,
             "indicators": d.numberOfEventIndicators,
             "step_events": bool(getattr(interface, "needsCompletedIntegratorStep", False)),
-        }  # fmt: skip
+        }
 
     def access(self, variable: ModelVariable) -> tuple[str, int]:
         """The type under which FMPy gets and sets a variable, and its value reference."""

@@ -151,8 +151,10 @@ def jsbsim_system_text(
     """
     model = reference_model(reference)
     if not set(model.needs) <= {"velocity_m_s", "T_inf_K", "rho_kg_m3"} or reference in ("columns", "none"):
-        raise InputError(f"{where or name}: the reference `{reference}` is not one of speed and density alone; JSBSim "
-                         "has no other: use fay-riddell, sutton-graves or detra-kemp-riddell")  # fmt: skip
+        raise InputError(
+            f"{where or name}: the reference `{reference}` is not one of speed and density alone; JSBSim "
+            "has no other: use fay-riddell, sutton-graves or detra-kemp-riddell"
+        )
     if recovery != "total":
         raise InputError(
             f"{where or name}: its recovery enthalpy is `{recovery}`; a system of JSBSim has `total` alone"
@@ -195,8 +197,11 @@ def jsbsim_system_text(
     last = _function(channel, f"{at}/step-0-K", _of("min", start, HOTTEST_K))
     for step in range(1, STEPS + 1):
         emitted = _of("product", SIGMA, _in_one(T, eps, last))
-        excess = _of("difference", _of("product", emitted, _of("difference", _of("pow", last, 4.0), back)),
-                     _of("product", h, _of("difference", H_r, _in_one(wall_K, H_w, last))))  # fmt: skip
+        excess = _of(
+            "difference",
+            _of("product", emitted, _of("difference", _of("pow", last, 4.0), back)),
+            _of("product", h, _of("difference", H_r, _in_one(wall_K, H_w, last))),
+        )
         emitted = _of("product", 4.0, SIGMA, _in_one(T, eps, last), _of("pow", last, 3.0))
         slope = _of("sum", emitted, _of("product", _of("max", h, 0.0), _in_one(wall_K, np.gradient(H_w, wall_K), last)))
         reached = _of("difference", last, _of("quotient", excess, slope))

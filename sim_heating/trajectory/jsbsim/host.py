@@ -56,23 +56,27 @@ class PropertyRead(NamedTuple):
 Read = PropertyRead | float
 """Source of a column: a property, or a constant in the column's unit."""
 
-VEHICLE_READS: Mapping[str, PropertyRead] = MappingProxyType({
-    "altitude_m": PropertyRead("position/h-sl-ft", FT_M),
-    "velocity_m_s": PropertyRead("velocities/vt-fps", FT_M),
-    "alpha_deg": PropertyRead("aero/alpha-deg"),
-    "beta_deg": PropertyRead("aero/beta-deg"),
-    "elevon_deg": PropertyRead("fcs/elevon-pos-deg"),
-    "bodyflap_deg": PropertyRead("fcs/bodyflap-pos-deg"),
-    "rho_kg_m3": PropertyRead("atmosphere/rho-slugs_ft3", SLUG_FT3_KG_M3),
-    "jets": PropertyRead("control/jet-firing"),
-})  # fmt: skip
+VEHICLE_READS: Mapping[str, PropertyRead] = MappingProxyType(
+    {
+        "altitude_m": PropertyRead("position/h-sl-ft", FT_M),
+        "velocity_m_s": PropertyRead("velocities/vt-fps", FT_M),
+        "alpha_deg": PropertyRead("aero/alpha-deg"),
+        "beta_deg": PropertyRead("aero/beta-deg"),
+        "elevon_deg": PropertyRead("fcs/elevon-pos-deg"),
+        "bodyflap_deg": PropertyRead("fcs/bodyflap-pos-deg"),
+        "rho_kg_m3": PropertyRead("atmosphere/rho-slugs_ft3", SLUG_FT3_KG_M3),
+        "jets": PropertyRead("control/jet-firing"),
+    }
+)
 """Properties of the columns of conditions.FRAME in the models of this package."""
 
-OTHER_READS: Mapping[str, Read] = MappingProxyType({
-    "elevon_deg": PropertyRead("fcs/elevator-pos-deg"),
-    "bodyflap_deg": 0.0,
-    "jets": 0.0,
-})  # fmt: skip
+OTHER_READS: Mapping[str, Read] = MappingProxyType(
+    {
+        "elevon_deg": PropertyRead("fcs/elevator-pos-deg"),
+        "bodyflap_deg": 0.0,
+        "jets": 0.0,
+    }
+)
 """Controls of an aircraft that lacks the properties above: the elevator, which JSBSim gives every aircraft, is its
 elevon; what does not exist does not deflect or fire."""
 

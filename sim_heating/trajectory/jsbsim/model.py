@@ -133,8 +133,10 @@ def aircraft_xml(aero: Aero) -> str:
         _surface_limits(aero),
         _element("system", file=Path(CONTROL).stem),
         _aerodynamics(aero),
-        name=MODEL, version="2.0", release="BETA",
-    )  # fmt: skip
+        name=MODEL,
+        version="2.0",
+        release="BETA",
+    )
     ElementTree.indent(root)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 

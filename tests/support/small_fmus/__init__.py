@@ -24,9 +24,12 @@ UNITS = {
 }  # fmt: skip
 OUTPUTS = (("h", 0, "km"), ("speed", 1, "ft/s"), ("alpha", 2, "rad"))
 PARAMETERS = (
-    ("sink", 4, "m/s", 50.0), ("drag", 5, "1/m", 1e-6), ("fault_time", 6, "s", 5.0), ("height_0", 7, "m", 70e3),
+    ("sink", 4, "m/s", 50.0),
+    ("drag", 5, "1/m", 1e-6),
+    ("fault_time", 6, "s", 5.0),
+    ("height_0", 7, "m", 70e3),
     ("speed_0", 8, "m/s", 7000.0),
-)  # fmt: skip
+)
 DEFAULTS = {name: value for name, _, _, value in PARAMETERS}
 
 

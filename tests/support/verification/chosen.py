@@ -27,10 +27,12 @@ def film_on_slab(h: float, k: float, a: float, length: float, t: FloatArray, ter
     1 - sum 4 sin z / (2 z + sin 2 z) cos z exp(-z^2 Fo), z tan z = h L / k. Carslaw & Jaeger (1959), 3.11.
     """
     bi = h * length / k
-    z = np.array([
-        brentq(lambda z: z * math.sin(z) - bi * math.cos(z), (n + 1e-9) * math.pi, (n + 0.5) * math.pi)
-        for n in range(terms)
-    ])[:, np.newaxis]  # fmt: skip
+    z = np.array(
+        [
+            brentq(lambda z: z * math.sin(z) - bi * math.cos(z), (n + 1e-9) * math.pi, (n + 0.5) * math.pi)
+            for n in range(terms)
+        ]
+    )[:, np.newaxis]
     weight = 4.0 * np.sin(z) / (2.0 * z + np.sin(2.0 * z)) * np.cos(z)
     return 1.0 - np.sum(weight * np.exp(-(z**2) * a * t / length**2), axis=0)
 

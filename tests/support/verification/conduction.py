@@ -50,10 +50,12 @@ def half_space_flux() -> list[Row]:
     return [
         of_rise(
             f"half space, constant flux: {where} at 100 s",
-            START_K + float(exact.semi_infinite_flux(Q_W_M2, K, A, x, t[-1:])[0]), out[-1, column], source,
+            START_K + float(exact.semi_infinite_flux(Q_W_M2, K, A, x, t[-1:])[0]),
+            out[-1, column],
+            source,
         )
         for where, x, column in (("surface", 0.0, 0), ("5 mm", SENSOR_M, 2))
-    ]  # fmt: skip
+    ]
 
 
 def half_space_rising_flux() -> list[Row]:
@@ -97,10 +99,12 @@ def slab() -> list[Row]:
     rows = [
         of_rise(
             f"slab, insulated back, constant flux: {where} at Fo 0.2",
-            START_K + float(exact.slab_flux(Q_W_M2, K, A, length, depth, t[-1:], 2000)[0]), out[-1, column], source,
+            START_K + float(exact.slab_flux(Q_W_M2, K, A, length, depth, t[-1:], 2000)[0]),
+            out[-1, column],
+            source,
         )
         for where, depth, column in (("surface", 0.0, 0), ("middle", SENSOR_M, 2), ("back", length, 3))
-    ]  # fmt: skip
+    ]
     t = np.linspace(0.0, 1000.0, 101)
     _, out = heat(wall((material(), length)), flight(t, q_add_W_m2=Q_W_M2), (length,))
     lead = "q L / 2k, the steady part of the series"
@@ -151,7 +155,7 @@ def periodic_flux() -> list[Row]:
     return [
         within(2e-3, f"{name}: amplitude", expected, abs(wave), "K", source, start),
         Row(f"{name}: lag", 45.0, -math.degrees(np.angle(wave)), 0.1, "deg", source, start),
-    ]  # fmt: skip
+    ]
 
 
 def coated() -> list[Row]:
@@ -182,7 +186,7 @@ def steady() -> list[Row]:
     rows = [
         Row("contact of 2e-3 m2 K/W: drop", 20.0, above - below, 1e-6, "K", "q R", settled),
         Row("layers, contact, film in series: surface", series, out[-1, 0], 1e-6, "K", "sum of resistances", settled),
-    ]  # fmt: skip
+    ]
     k, length, back, q = [[300.0, 0.5], [1300.0, 2.0]], 0.02, 1e4, 3e4
     t = np.linspace(0.0, 1e5, 1001)
     w = wall((material(k), length), back={"h_W_m2K": back, "T_K": 300.0})
@@ -214,8 +218,10 @@ def moisture() -> list[Row]:
     """A thin plate that gives off its moisture: latent heat over a width of temperature."""
     latent, q, thickness, end = 2e5, 1e4, 0.001, 60.0
     wet = {
-        "stack.moisture.latent_J_kg": latent, "stack.moisture.boil_K": 373.0, "stack.moisture.width_K": 5.0,
-    }  # fmt: skip
+        "stack.moisture.latent_J_kg": latent,
+        "stack.moisture.boil_K": 373.0,
+        "stack.moisture.width_K": 5.0,
+    }
     t = np.linspace(0.0, end, 601)
     _, out = heat(wall((material(1e4), thickness)), flight(t, q_add_W_m2=q), nodes=14, parameters=wet)
     expected = START_K + q * end / (RHO_C * thickness) - latent / 1000.0

@@ -155,8 +155,9 @@ def cylinder() -> list[Row]:
     gradient = math.sqrt(2.0 * (p_0 - p) / rho_0) / FOOT_M
     T_0 = gas.air_temperature_kernel(h_0, p_0)
     expected, got = (
-        stagnation_film(p_0, T_0, 1200.0, gradient, gas.PRANDTL, plane=True), film("swept-cylinder", 1200.0)
-    )  # fmt: skip
+        stagnation_film(p_0, T_0, 1200.0, gradient, gas.PRANDTL, plane=True),
+        film("swept-cylinder", 1200.0),
+    )
     name = "swept-cylinder, 2500 m/s, no sweep, wall 1200 K: film coefficient"
     return [within(0.015, name, expected, got, "kg/(m2 s)", SIMILARITY, FITTED), *insulated_edge()]
 
@@ -283,11 +284,14 @@ def rarefied_surfaces() -> list[Row]:
         T_inf, _, rho = us76_kernel(1e3 * altitude_km)
         state = conditions(rho_kg_m3=rho, velocity_m_s=V, T_inf_K=T_inf, alpha_deg=40.0)
         films = [
-            r * float(reference_heating(
-                "fay-riddell", state, nose_radius_m=R, recovery=Recovery("edge-laminar"), ratio=np.full(2, r)
-            )[0][0])
+            r
+            * float(
+                reference_heating(
+                    "fay-riddell", state, nose_radius_m=R, recovery=Recovery("edge-laminar"), ratio=np.full(2, r)
+                )[0][0]
+            )
             for R, r in ((FOOT_M, 0.1096), (10.0 * FOOT_M, 0.1096 * math.sqrt(10.0)))
-        ]  # fmt: skip
+        ]
         name = f"film of a tile at 40 deg, {altitude_km} km, ratio over 1 ft for 10 ft"
         rows.append(within(1e-10, name, films[0], films[1], "kg/(m2 s)", "one tile, one heating", "rounding"))
     return rows

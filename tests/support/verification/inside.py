@@ -83,13 +83,17 @@ def gas_layer(emissivity_inner: float = 0.8, conductivity_W_mK: float = 20.0) ->
     conductivity_W_mK : of the plates
     """
     plate = Material(
-        density_kg_m3=8000.0, emissivity=[[200.0, 0.8]], specific_heat_J_kgK=[[200.0, 500.0]],
+        density_kg_m3=8000.0,
+        emissivity=[[200.0, 0.8]],
+        specific_heat_J_kgK=[[200.0, 500.0]],
         conductivity_W_mK=[[200.0, conductivity_W_mK]],
-    )  # fmt: skip
+    )
     air = Material(
-        kind="gas", density_kg_m3=0.4, specific_heat_J_kgK=[[200.0, 1000.0], [2000.0, 1200.0]],
+        kind="gas",
+        density_kg_m3=0.4,
+        specific_heat_J_kgK=[[200.0, 1000.0], [2000.0, 1200.0]],
         conductivity_W_mK=[[200.0, 0.018], [2000.0, 0.12]],
-    )  # fmt: skip
+    )
     layers = [
         Layer(material="plate", thickness_m=0.002),
         Layer(material="air", thickness_m=0.01, emissivity_inner=emissivity_inner),

@@ -43,7 +43,7 @@ def orders() -> list[Row]:
         ("in time", 2.0, cosine_error(fine, 0.25), cosine_error(fine, 0.125)),
         ("in space, equal elements", 4.0, cosine_error(equal, 0.005), cosine_error(halve_elements(equal), 0.005)),
         ("in space, graded mesh", 2.0, cosine_error(finer, 0.005), cosine_error(halve_elements(finer), 0.005)),
-    )  # fmt: skip
+    )
     is_ = "next term of the expansion"
     return [
         Row(f"order of convergence {name}", order, math.log2(coarse / half), 0.05, "-", f"{CARSLAW}, 3.3", is_)

@@ -35,7 +35,7 @@ def recorder() -> list[Row]:
         Row(f"{word_of}: least step", lsb, word.lsb_K, 1e-12, "K", "span / (2^8 - 1)", "rounding"),
         within(1e-5, f"{word_of}: rms error", lsb / math.sqrt(12.0), rms, "K", "LSB / sqrt(12)", tried),
         Row(f"{word_of}: largest error", 0.5 * lsb, float(np.max(np.abs(error))), 1e-3, "K", "LSB / 2", tried),
-    ]  # fmt: skip
+    ]
     curved = sensor(calibration=[2.0, 0.99, 1e-5])
     got = float(indicated_temperature(curved, np.array([1000.0]))[0])
     rows.append(

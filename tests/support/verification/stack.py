@@ -33,11 +33,14 @@ def entry() -> list[Row]:
     flown = march_points([model], [conditions])[0]
     chosen = np.column_stack((flown.surface_K, flown.bondline_K, *flown.sensors_K))
     runs = (
-        ("as chosen", chosen, TOLERANCE_K + OWN_ERROR_K,
-         "tolerance of the mesh, and 0.06 K of the reference"),
-        ("100 nodes, 0.1 s", pack([replace(model, nodes=100)]).march(conditions.time_s, history, longest_step_s=0.1),
-         OWN_ERROR_K, "error of the reference: 153 nodes, tolerance 1e-6"),
-    )  # fmt: skip
+        ("as chosen", chosen, TOLERANCE_K + OWN_ERROR_K, "tolerance of the mesh, and 0.06 K of the reference"),
+        (
+            "100 nodes, 0.1 s",
+            pack([replace(model, nodes=100)]).march(conditions.time_s, history, longest_step_s=0.1),
+            OWN_ERROR_K,
+            "error of the reference: 153 nodes, tolerance 1e-6",
+        ),
+    )
     source = "own finite volumes, k at mean temperatures, scipy Radau at 1e-6"
     places = (
         ("surface", 0.0),

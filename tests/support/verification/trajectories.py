@@ -39,9 +39,11 @@ MU, RADIUS_M, FLATTENING, ROTATION, J2 = 3.986004418e14, 6378137.0, 1.0 / 298.25
 def spec(source: str = "entry-3dof", **changes: object) -> TrajectorySpec:
     """A Shuttle entry with some keys of its [trajectory] table replaced."""
     table: dict[str, object] = {
-        "source": source, "initial": STS107, "stop": {"velocity_m_s": 100.0, "altitude_m": 0.0},
+        "source": source,
+        "initial": STS107,
+        "stop": {"velocity_m_s": 100.0, "altitude_m": 0.0},
         "vehicle": {"mass_kg": 105600.0},
-    }  # fmt: skip
+    }
     return TrajectorySpec.model_validate(table | changes)
 
 
@@ -174,7 +176,7 @@ def ellipsoid() -> list[Row]:
         within(3e-5, "gravity at the equator", 9.7803253359, equator, "m/s2", source, is_),
         within(3e-5, "gravity at the pole", 9.8321849378, pole, "m/s2", source, is_),
         Row("altitude of the pole, 6356752.3142 m from the centre", 0.0, altitude, 1e-4, "m", source, "digits printed"),
-    ]  # fmt: skip
+    ]
 
 
 # With air -----------------------------------------------------------------------------------------------------------

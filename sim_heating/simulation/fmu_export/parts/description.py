@@ -26,10 +26,13 @@ BASE_UNITS: dict[str, dict[str, float]] = {
 FACTORS = {"rad": np.pi / 180.0, "standard_gravity": G0_M_S2}
 """Size of a degree, whose exponent is that of a radian, and of units that are multiples of SI units."""
 CAUSALITY = {
-    Role.INDEPENDENT: ("independent", "continuous"), Role.INPUT: ("input", "continuous"),
-    Role.TUNABLE: ("parameter", "tunable"), Role.FIXED: ("parameter", "fixed"),
-    Role.OUTPUT: ("output", "continuous"), Role.CONSTANT: ("local", "constant"),
-}  # fmt: skip
+    Role.INDEPENDENT: ("independent", "continuous"),
+    Role.INPUT: ("input", "continuous"),
+    Role.TUNABLE: ("parameter", "tunable"),
+    Role.FIXED: ("parameter", "fixed"),
+    Role.OUTPUT: ("output", "continuous"),
+    Role.CONSTANT: ("local", "constant"),
+}
 NUMBERS = (Kind.NUMBER, Kind.SHARED)
 CATEGORIES = (("logStatusError", "why a call was refused"),)
 
@@ -126,9 +129,12 @@ def _categories_and_experiment(root: ET.Element, image: Image) -> None:
 def _attributes(i: int, v: Variable) -> dict[str, str]:
     causality, variability = CAUSALITY[v.role]
     return {
-        "name": v.name, "valueReference": str(i), "description": v.text, "causality": causality,
+        "name": v.name,
+        "valueReference": str(i),
+        "description": v.text,
+        "causality": causality,
         "variability": variability,
-    }  # fmt: skip
+    }
 
 
 NOT_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
