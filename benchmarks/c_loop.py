@@ -44,7 +44,7 @@ HEATED = (FILM, RECOVERY, ADDED, PCOL, PFRAC)
 
 
 @njit
-def march_heated(B, J, table, dispatcher, time_s, heating) -> None:  # type: ignore[no-untyped-def]
+def march_heated(B, J, table, dispatcher, time_s, heating) -> None:
     """A group through an entry with its heating given, (time, 2, 5, LANES): stages 1 and 2 of the step to a time."""
     b, j, t = pointer(B), pointer(J), pointer(table)
     for lane in range(LANES):

@@ -88,7 +88,7 @@ def _direct(model: Any, frames: np.ndarray) -> float:
     A = np.array([f.address for f in called], dtype=np.int64)
 
     @njit
-    def fly(R, N, A, T, frames, take):  # type: ignore[no-untyped-def]
+    def fly(R, N, A, T, frames, take):
         for i in range(take, take + 50):
             for k in range(N[N_INPUTS]):
                 value = frames[i, 1 + k] if k < frames.shape[1] - 1 else 0.0

@@ -118,7 +118,7 @@ def _conductivity(material: Material, log10_p: FloatArray) -> Kinked:
 
 
 @njit
-def _property(T, value, kinks, bends, count):  # type: ignore[no-untyped-def]
+def _property(T, value, kinks, bends, count):
     """Property and its integral from 0 K."""
     v, integral = value, value * T
     for j in range(count):
@@ -131,14 +131,14 @@ def _property(T, value, kinks, bends, count):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _linear(time_s, values, t):  # type: ignore[no-untyped-def]
+def _linear(time_s, values, t):
     k = min(max(int((t - time_s[0]) / (time_s[1] - time_s[0])), 0), len(time_s) - 2)
     f = (t - time_s[k]) / (time_s[k + 1] - time_s[k])
     return values[k] + f * (values[k + 1] - values[k])
 
 
 @njit
-def rate(t, T, given):  # type: ignore[no-untyped-def]
+def rate(t, T, given):
     """dT/dt [K/s] of all nodes: fluxes, then the mass matrix by elimination; given is what `arguments` gives."""
     material, half, g, c_value, c_kink, c_bend, k_value, k_kink, k_bend, count, eps, log10_p, cp, mixing, entry = given
     n = len(T)
@@ -211,7 +211,7 @@ def arguments(s: System, mixing: float = SHARE) -> tuple[np.ndarray | float, ...
 
 
 @njit
-def jacobian(t, T, given):  # type: ignore[no-untyped-def]
+def jacobian(t, T, given):
     """(n, n) matrix of `rate`, by differences of 1e-6 T."""
     n = len(T)
     J = np.empty((n, n))

@@ -39,7 +39,7 @@ PRESSURE = VARIABLES
 
 
 @njit
-def ratio_with_effects(  # type: ignore[no-untyped-def]
+def ratio_with_effects(
     B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, r: float, wall_K: float, first: int, end: int
 ) -> float:
     """Heating ratio [-] of a lane after some of its effects: r = L[r_lin + sum a_k] prod m_k, L the lag.
@@ -124,7 +124,7 @@ def _keep_past_onset(B: FloatArray, J: IntArray, lane: int, stage: int, c: int, 
 
 
 @njit
-def emittance_factor(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall_K: float) -> float:  # type: ignore[no-untyped-def]
+def emittance_factor(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall_K: float) -> float:
     """Factor [-] on the emittance of a lane: the product of its effects on emittance at a wall temperature.
 
     B, J   : block of the lane group and its integers;  dispatcher : the compiled effects
@@ -200,7 +200,7 @@ def _air_places(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> No
 
 
 @njit
-def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
+def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:
     """Film coefficient, recovery enthalpy, added flux and pressure column of all lanes at one stage.
 
     B, J  : block of the lane group and its integers; rows FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2],
@@ -224,7 +224,7 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage:
 
 
 @njit
-def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
+def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:
     """Film coefficient, recovery enthalpy and added flux of all lanes at one stage, without pressure columns.
 
     B, J  : block of the lane group and its integers; rows R_BASE [-], FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2]

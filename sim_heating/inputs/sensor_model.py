@@ -77,7 +77,7 @@ def calibration_coefficients(sensor: Sensor) -> FloatArray:
 
 
 @njit
-def indicated_kernel(temperature_K, gain, bias_K, coefficients):  # type: ignore[no-untyped-def]
+def indicated_kernel(temperature_K, gain, bias_K, coefficients):
     """Calibration polynomial T_ind = c0 + c1 T' + c2 T'^2 + ... of T' = gain T + bias, by Horner's rule.
 
     temperature_K : true temperature [K], a number or an array;  gain [-], bias_K [K]

@@ -91,7 +91,7 @@ def set_conditions(B: FloatArray, vectors: FloatArray, first: int, fraction: flo
 @njit
 def begin_groups(
     state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, now: FloatArray
-) -> None:  # type: ignore[no-untyped-def]
+) -> None:
     """Set the flight conditions at the present time and evaluate heat contents and heat flows [W/m2] with them.
 
     state ... groups : all lane groups, as in LaneGroups; the state changes
@@ -109,7 +109,7 @@ def begin_groups(
 
 @njit
 def advance_groups(
-    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, then: FloatArray,  # type: ignore[no-untyped-def]
+    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, then: FloatArray,
     dt: float, steps: int,
 ) -> None:  # fmt: skip
     """Advance all lane groups by one frame of a host, its conditions linear between the present and the new ones.

@@ -314,7 +314,7 @@ def follow_upstream_walls(
 
 @njit
 def advance_behind_walls(
-    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray,  # type: ignore[no-untyped-def]
+    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray,
     points: PointConstants, lanes: IntArray, vectors: FloatArray, then: FloatArray, dt: float, steps: int,
 ) -> None:  # fmt: skip
     """Advance all lane groups by dt [s], those behind interfaces with the walls upstream; as `advance_groups`.

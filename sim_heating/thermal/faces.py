@@ -78,7 +78,7 @@ reported as a failure since its update is NaN too."""
 
 
 @inline_always
-def _film_and_slope(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+def _film_and_slope(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float) -> tuple[float, float]:
     """Film coefficient [kg/(m2 s)] of a lane whose effects depend on the wall temperature, and its slope against it."""
     h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
     h_ref *= B[(STEP_FACTOR + stage) * LANES + lane]
@@ -95,7 +95,7 @@ def _film_and_slope(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: in
 @inline_always
 def _factor_and_slope(
     B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float
-) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+) -> tuple[float, float]:
     """Factor of the effects on the emittance of a lane [-], and its slope against the wall temperature [1/K]."""
     above = emittance_factor(B, J, dispatcher, lane, stage, wall + WALL_DIFFERENCE_K)
     below = emittance_factor(B, J, dispatcher, lane, stage, wall - WALL_DIFFERENCE_K)
@@ -173,7 +173,7 @@ def invalidate_walls(B: FloatArray) -> None:
 
 
 @njit
-def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
+def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:
     """Heat from outside [W/m2] and its slope [W/(m2 K)] at surface, back and gaps, at the present temperatures.
 
     B     : block of the lane group; SOURCE and SLOPE of the nodes concerned change
@@ -188,7 +188,7 @@ def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, st
 
 
 @njit
-def evaluate_perturbed_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
+def evaluate_perturbed_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:
     """Heat from outside [W/m2] as of `evaluate_faces`, of lanes that were heated at their present temperatures.
 
     Slopes are those without effects: they are in the matrix of the unperturbed lane, and nobody reads them here. The
@@ -297,7 +297,7 @@ def _cache_walls(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> N
 
 
 @inline_always
-def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
+def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:
     """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)], of all lanes.
 
         s_0 = (1 - f) film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4)
@@ -341,7 +341,7 @@ def _add_still_air(B: FloatArray, stage: int) -> None:
 
 
 @inline_always
-def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int) -> None:  # type: ignore[no-untyped-def]
+def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int) -> None:
     """Surface balance of a lane with effects on its emittance, or with effects that depend on the wall temperature."""
     # The first guess of a stage is extrapolated and may be below 0 K, where the rates of an effect are no numbers.
     wall = max(B[(HEAD_ROWS + T) * LANES + lane], COLDEST_K)

@@ -138,7 +138,7 @@ def _bound_errors(B: FloatArray, n: int, dt: float) -> None:
 
 
 @njit
-def _filter_errors(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _filter_errors(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:
     """Error of the temperatures [K] of a step: LARGEST of node 0, from the matrix at the end of the step.
 
     With E* + A e for E* the residual at the end of the step is -A e, so that Newton's update is e itself; no lane takes
@@ -169,7 +169,7 @@ def _filter_errors(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt
 
 
 @inline_always
-def _judge_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float, last: bool) -> int:  # type: ignore[no-untyped-def]
+def _judge_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float, last: bool) -> int:
     """Write which of the lanes that took part in a step tolerate its error (TOLERATED); number of those that do not.
 
     last : whether the step is the shortest and therefore tolerated, converged or not
@@ -224,7 +224,7 @@ def _settle_lanes(B: FloatArray, n: int, dt: float, end: float) -> None:
 
 
 @njit
-def _solve_interval(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _solve_interval(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:
     """One step of dt [s] between the conditions of stages 0 and 2, not closed: heating at its stages, temperatures."""
     span = LANES * N_CONDITIONS
     first = C_STAGES * LANES
@@ -258,7 +258,7 @@ def _select_interval(B: FloatArray, begin: int, end: int) -> None:
 
 
 @njit
-def _divide_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _divide_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:
     """March a frame of dt [s] whose single step is solved and judged, and not tolerated by all lanes, in shorter ones.
 
     Parts of the frame are visited as the nodes of a binary tree, in order of time: the first half of a part that a lane
@@ -298,7 +298,7 @@ def _divide_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt:
 
 
 @inline_always
-def _evaluate_now(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:  # type: ignore[no-untyped-def]
+def _evaluate_now(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:
     """Take the condition vectors of stage 2 as those of the present time, and evaluate heat contents and flows."""
     invalidate_cells(B)
     invalidate_walls(B)
@@ -309,7 +309,7 @@ def _evaluate_now(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> 
 
 
 @inline_always
-def _advance_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _advance_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:
     """Advance by dt [s] from the conditions of stage 0 (now) to those of stage 2 (then), linear between.
 
     Before it the caller shifts the vectors of stage 2 to stage 0 (`shift_conditions`) and writes new ones.
@@ -328,7 +328,7 @@ def _advance_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt
         _divide_frame(B, J, table, dispatcher, dt)
 
 
-def advance(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
+def advance(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:
     """Advance a lane group by a frame of dt [s], or, with dt = EVALUATE_START, evaluate the start of a march.
 
     B     : block of the group, with the conditions of stages 0 and 2 written

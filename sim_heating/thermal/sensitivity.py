@@ -122,7 +122,7 @@ class PerturbedOffsets(NamedTuple):
     nodes: IntArray
 
 
-def rows_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: float) -> None:  # type: ignore[no-untyped-def]
+def rows_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: float) -> None:
     """Rows of G = E - ddt F [J/m2] at the present temperatures of perturbed lanes, with the conditions of stage 2.
 
     B     : block of the perturbed lanes;  J : its integers;  table, dispatcher : as in step.step
@@ -136,7 +136,7 @@ def rows_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: floa
     assemble(B, J, table, ddt, WHOLE_ROWS)
 
 
-def faces_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: float) -> None:  # type: ignore[no-untyped-def]
+def faces_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: float) -> None:
     """Heat from outside [W/m2] at the present temperatures of perturbed lanes, with the conditions of stage 2.
 
     ddt is not used: the signature is that of `rows_at`. Source: docs/theory/equations_thermal_step.md, equations 14 to
@@ -228,9 +228,7 @@ def start_from_copy(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) ->
 
 
 @njit
-def _subtract_forcing(  # type: ignore[no-untyped-def]
-    x, p: PerturbedOffsets, lane: int, forced: int, ddt: float, S, at: int, width: int
-) -> None:
+def _subtract_forcing(x, p: PerturbedOffsets, lane: int, forced: int, ddt: float, S, at: int, width: int) -> None:
     """S - G_p in the first `forced` columns, with the perturbed lanes assembled for ddt [s] (equation 34)."""
     n = p.nodes[lane]
     for k in range(forced):
@@ -263,9 +261,7 @@ def against_ratio(X: FloatArray, at: int, k: int) -> float:
 
 
 @force_inline
-def _weighted_sum(  # type: ignore[no-untyped-def]
-    to, at: int, a: float, x, i: int, b: float, y, j: int, c: float, z, k: int, width: int
-) -> None:
+def _weighted_sum(to, at: int, a: float, x, i: int, b: float, y, j: int, c: float, z, k: int, width: int) -> None:
     """to = a x + b y + c z for rows of `width` numbers that begin at `at`, i, j and k; rows may be the same.
 
     Four numbers a time, all read before any is written: LLVM packs them into vectors, and asks at no row whether rows
@@ -287,7 +283,7 @@ def _weighted_sum(  # type: ignore[no-untyped-def]
 
 
 @force_inline
-def _difference(to, at: int, a: float, x, i: int, b: float, y, j: int, width: int) -> None:  # type: ignore[no-untyped-def]
+def _difference(to, at: int, a: float, x, i: int, b: float, y, j: int, width: int) -> None:
     """to = a x - b y for rows of `width` numbers, as `_weighted_sum`."""
     for q in range(0, width - 3, VECTOR):
         x0, x1, x2, x3 = x[i + q], x[i + q + 1], x[i + q + 2], x[i + q + 3]
@@ -299,9 +295,7 @@ def _difference(to, at: int, a: float, x, i: int, b: float, y, j: int, width: in
 
 
 @njit
-def content_columns(  # type: ignore[no-untyped-def]
-    x, p: PerturbedOffsets, lane: int, forced: int, S, e, at: int, width: int
-) -> None:
+def content_columns(x, p: PerturbedOffsets, lane: int, forced: int, S, e, at: int, width: int) -> None:
     """Total derivatives of the heat contents of a lane, e = E_T S + E_p.
 
     x         : pointer to the blocks of the perturbed lanes, assembled at the lane's temperatures;  p : their offsets
@@ -329,9 +323,7 @@ def content_columns(  # type: ignore[no-untyped-def]
 
 
 @njit
-def begin_columns(  # type: ignore[no-untyped-def]
-    x, p: PerturbedOffsets, lane: int, forced: int, S, e, f, at: int, width: int
-) -> None:
+def begin_columns(x, p: PerturbedOffsets, lane: int, forced: int, S, e, f, at: int, width: int) -> None:
     """e [J/m2] and f [W/m2], over the unit of each parameter, from S [K]: after a start, or a change of S from outside.
 
         e = E_T S + E_p,    f = e - A S - G_p    with d dt = 1 s
@@ -357,7 +349,7 @@ def begin_columns(  # type: ignore[no-untyped-def]
 
 
 @njit
-def solve_columns(  # type: ignore[no-untyped-def]
+def solve_columns(
     x, p: PerturbedOffsets, lane: int, forced: int, ddt: float, star, S, at: int, width: int, reduced
 ) -> None:
     """Solve A S = star - G_p for the sensitivities of a stage, with one elimination of the matrix for all parameters.
@@ -389,7 +381,7 @@ def solve_columns(  # type: ignore[no-untyped-def]
 
 
 @njit
-def copy_columns(source, target, at: int, count: int) -> None:  # type: ignore[no-untyped-def]
+def copy_columns(source, target, at: int, count: int) -> None:
     """Copy `count` numbers that begin at `at`, from one pointer to another."""
     for k in range(at, at + count - 3, VECTOR):
         a, b, c, d = source[k], source[k + 1], source[k + 2], source[k + 3]
@@ -399,7 +391,7 @@ def copy_columns(source, target, at: int, count: int) -> None:  # type: ignore[n
 
 
 @njit
-def first_right_hand_side(e, f, dt: float, star, at: int, count: int) -> None:  # type: ignore[no-untyped-def]
+def first_right_hand_side(e, f, dt: float, star, at: int, count: int) -> None:
     """Right-hand side of the first stage, e_n + d dt f_n [J/m2] over the unit of each parameter.
 
     e, f, star : pointers to columns [J/m2], [W/m2], [J/m2], each over that unit; star is overwritten
@@ -421,7 +413,7 @@ def first_right_hand_side(e, f, dt: float, star, at: int, count: int) -> None:  
 
 
 @njit
-def second_right_hand_side(e, middle, star, at: int, count: int) -> None:  # type: ignore[no-untyped-def]
+def second_right_hand_side(e, middle, star, at: int, count: int) -> None:
     """Right-hand side of the second stage, e_n + (w/d) (e(Y1) - e_n) [J/m2] over the unit of each parameter.
 
     e, middle, star : pointers to columns: e at the start and at the first stage, and the result, overwritten
@@ -440,7 +432,7 @@ def second_right_hand_side(e, middle, star, at: int, count: int) -> None:  # typ
 
 
 @njit
-def net_columns(e, star, dt: float, f, at: int, count: int) -> None:  # type: ignore[no-untyped-def]
+def net_columns(e, star, dt: float, f, at: int, count: int) -> None:
     """Sensitivity of the net heat at the end of a step, f = (e - star) / (d dt) [W/m2] over the unit of each parameter.
 
     e, star, f : pointers to columns: e at the end, right-hand side of the second stage, result;  dt : [s]

@@ -146,7 +146,7 @@ def _add_energy(B: FloatArray, weight: float) -> None:
 
 
 @inline_always
-def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:  # type: ignore[no-untyped-def]
+def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> None:
     """Heat content [J/m2] and net heat [W/m2] of all nodes at the present temperatures, with the conditions of stage 2.
 
     B     : block of the lane group; E_START, NET, STAGE_IN and STAGE_OUT change
@@ -314,7 +314,7 @@ def _stop_converged_lanes(B: FloatArray) -> int:
 
 
 @njit
-def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, dt: float) -> None:
     """Newton iteration for E(Y) - E* - d dt F(Y) = 0 from the present temperatures (equations 25 to 30)."""
     n = J[N_NODES]
     behind = (HEAD_ROWS + n * NODE_ROWS) * LANES
@@ -370,7 +370,7 @@ def _note_start(B: FloatArray) -> None:
 
 
 @njit
-def step(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:  # type: ignore[no-untyped-def]
+def step(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:
     """Solve both stages of a step of dt [s] with the stage inputs that the scalar rows hold; `close_step` ends it.
 
         E(Y1) = E_n + d dt (F_n + F(Y1)),    E(Y2) = E_n + (w/d) (E(Y1) - E_n) + d dt F(Y2)

@@ -30,7 +30,7 @@ def parameters(n: int, **keys: float) -> list[Parameter]:
     return [Parameter(name, "1", **{"value": 0.0, **keys}) for name in "abcdef"[:n]]
 
 
-def least_squares(residual, jacobian) -> Evaluate:  # type: ignore[no-untyped-def]
+def least_squares(residual, jacobian) -> Evaluate:
     """Log likelihood of unit normal residuals with the Gauss-Newton information."""
 
     def evaluate(p: FloatArray) -> Evaluation:

@@ -94,36 +94,36 @@ def c_function(signature: Any, function: Any, cache: bool) -> Any:
 
 
 @numba.extending.overload(pointer, inline="always")
-def _pointer_compiled(array):  # type: ignore[no-untyped-def]
+def _pointer_compiled(array):
     if isinstance(array, numba.types.Array):
         return lambda array: array_data(array)
     return None
 
 
 @numba.extending.overload(power_of_two, inline="always")
-def _power_of_two_compiled(k):  # type: ignore[no-untyped-def]
+def _power_of_two_compiled(k):
     return lambda k: power_of_two_bits(k)
 
 
 @numba.extending.overload(split, inline="always")
-def _split_compiled(x):  # type: ignore[no-untyped-def]
+def _split_compiled(x):
     return lambda x: mantissa_and_exponent_bits(x)
 
 
 @numba.extending.overload(call_dispatcher, inline="always")
-def _call_dispatcher_compiled(dispatcher, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+def _call_dispatcher_compiled(dispatcher, code, B, c, p, wall_K):
     if isinstance(dispatcher, numba.types.Integer):
         return lambda dispatcher, code, B, c, p, wall_K: call_dispatcher_at(dispatcher, code, B, c, p, wall_K)
     return None
 
 
 @numba.extending.overload(call_effect, inline="always")
-def _call_effect_compiled(kernel, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+def _call_effect_compiled(kernel, B, c, p, wall_K):
     return lambda kernel, B, c, p, wall_K: call_effect_at(kernel, B, c, p, wall_K)
 
 
 @numba.extending.overload(call_step, inline="always")
-def _call_step_compiled(step, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def]
+def _call_step_compiled(step, B, J, table, dispatcher, dt):
     if isinstance(step, numba.types.Integer):
         return lambda step, B, J, table, dispatcher, dt: call_step_at(step, B, J, table, dispatcher, dt)
     return None

@@ -171,6 +171,6 @@ def interpreted(kernel: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-def address_of(function):  # type: ignore[no-untyped-def]
+def address_of(function):
     """What a kernel takes for a function that it calls: the address of a compiled one, else the function itself."""
     return getattr(function, "address", function)

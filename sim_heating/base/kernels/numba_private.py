@@ -104,31 +104,31 @@ def compile_within(surrounding: Callable[[Any], AbstractContextManager[None]], d
 
 
 @numba.extending.intrinsic
-def array_data(_typing_context: object, array: numba.types.Array):  # type: ignore[no-untyped-def]
+def array_data(_typing_context: object, array: numba.types.Array):
     """C pointer to the data of a contiguous array."""
     kind = numba.types.CPointer(array.dtype)
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         return context.make_array(signature.args[0])(context, builder, args[0]).data
 
     return kind(array), codegen
 
 
 @numba.extending.intrinsic
-def pointer_offset(_typing_context, pointer, first):  # type: ignore[no-untyped-def]
+def pointer_offset(_typing_context, pointer, first):
     """C pointer to a later number of the array that a pointer points to; `first` counts numbers, not bytes."""
 
-    def codegen(_context, builder, _signature, args):  # type: ignore[no-untyped-def]
+    def codegen(_context, builder, _signature, args):
         return builder.gep(args[0], [args[1]])
 
     return pointer(pointer, numba.types.int64), codegen
 
 
 @numba.extending.intrinsic
-def power_of_two_bits(_typing_context, k):  # type: ignore[no-untyped-def]
+def power_of_two_bits(_typing_context, k):
     """2^k [-] of a whole number k from -1022 to 1023, given as a float: its bits are put together."""
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         number, bits = llvmlite.ir.DoubleType(), llvmlite.ir.IntType(64)
         integer = builder.bitcast(builder.fadd(args[0], number(WHOLE)), bits)
         return builder.bitcast(builder.add(builder.shl(integer, bits(52)), bits(1023 << 52)), number)
@@ -137,10 +137,10 @@ def power_of_two_bits(_typing_context, k):  # type: ignore[no-untyped-def]
 
 
 @numba.extending.intrinsic
-def mantissa_and_exponent_bits(_typing_context, x):  # type: ignore[no-untyped-def]
+def mantissa_and_exponent_bits(_typing_context, x):
     """m [-] from 0.5 to below 1 and k with x = m 2^k, for a normal x above 0: its bits are taken apart."""
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         number, bits = llvmlite.ir.DoubleType(), llvmlite.ir.IntType(64)
         pattern = builder.bitcast(args[0], bits)
         # The exponent's bits below those of 2^52 are 2^52 + exponent: no conversion of integers, which AVX2 lacks.
@@ -153,7 +153,7 @@ def mantissa_and_exponent_bits(_typing_context, x):  # type: ignore[no-untyped-d
     return numba.types.UniTuple(float64, 2)(float64), codegen
 
 
-def _call_through_address(context, builder, signature, args):  # type: ignore[no-untyped-def]
+def _call_through_address(context, builder, signature, args):
     """LLVM code of a call whose first argument is the address of the function; the others are the function's own."""
     void = signature.return_type == numba.types.void
     result = llvmlite.ir.VoidType() if void else context.get_value_type(signature.return_type)
@@ -164,19 +164,19 @@ def _call_through_address(context, builder, signature, args):  # type: ignore[no
 
 
 @numba.extending.intrinsic
-def call_dispatcher_at(_typing_context, address, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+def call_dispatcher_at(_typing_context, address, code, B, c, p, wall_K):
     """Value [-] of an effect dispatcher at an address: dispatcher(code, B, c, p, wall_K), wall_K [K]."""
     return numba.types.float64(address, code, B, c, p, wall_K), _call_through_address
 
 
 @numba.extending.intrinsic
-def call_effect_at(_typing_context, address, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+def call_effect_at(_typing_context, address, B, c, p, wall_K):
     """Value [-] of an effect's compiled kernel at an address: kernel(B, c, p, wall_K), wall_K [K]."""
     return numba.types.float64(address, B, c, p, wall_K), _call_through_address
 
 
 @numba.extending.intrinsic
-def call_step_at(_typing_context, address, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def]
+def call_step_at(_typing_context, address, B, J, table, dispatcher, dt):
     """Call a compiled step at an address: step(B, J, table, dispatcher, dt), dt [s]."""
     return numba.types.void(address, B, J, table, dispatcher, dt), _call_through_address
 

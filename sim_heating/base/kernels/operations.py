@@ -8,7 +8,7 @@ WHOLE = 1.5 * 2.0**52
 """Added to a number below 2^51 in size it leaves no digits behind the point; its last bits are then the integer."""
 
 
-def pointer(array):  # type: ignore[no-untyped-def]
+def pointer(array):
     """Data of a contiguous array as a kernel takes it: a C pointer when compiled, a flat view when interpreted.
 
     An exported library passes pointers as well. Indices into a pointer are never counted from its end, unlike those
@@ -29,7 +29,7 @@ def split(x: float) -> tuple[float, float]:
     return m, float(k)
 
 
-def call_dispatcher(dispatcher, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+def call_dispatcher(dispatcher, code, B, c, p, wall_K):
     """dispatcher(code, B, c, p, wall_K) [-]: the effect of a code, through the address of its dispatcher.
 
     wall_K : wall temperature [K];  code, B, c, p : as in heating/effects/compiled.py
@@ -40,12 +40,12 @@ def call_dispatcher(dispatcher, code, B, c, p, wall_K):  # type: ignore[no-untyp
     return dispatcher(code, B, c, p, wall_K)
 
 
-def call_effect(kernel, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+def call_effect(kernel, B, c, p, wall_K):
     """kernel(B, c, p, wall_K) [-]: an effect through the address of its kernel when compiled; wall_K [K]."""
     return kernel(B, c, p, wall_K)
 
 
-def call_step(step, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def]
+def call_step(step, B, J, table, dispatcher, dt):
     """Call step(B, J, table, dispatcher, dt) through its address when compiled, as a function when interpreted; dt [s].
 
     The large compiled step is made once this way; a loop that called it by name would compile it into itself again.

@@ -52,7 +52,7 @@ def weighted_density(x: float) -> float:
 
 
 @njit
-def truncated_normal(alpha: float, beta: float, width: float):  # type: ignore[no-untyped-def]
+def truncated_normal(alpha: float, beta: float, width: float):
     """The seven terms [-] of a standard normal variable x truncated to [alpha, beta].
 
     alpha, beta : ends of the interval [-], either may be infinite;  alpha < beta
@@ -102,7 +102,7 @@ def truncated_normal(alpha: float, beta: float, width: float):  # type: ignore[n
 
 
 @njit
-def wide_interval_terms(alpha: float, beta: float):  # type: ignore[no-untyped-def]
+def wide_interval_terms(alpha: float, beta: float):
     """The seven terms [-] in closed form, for an interval with alpha + beta >= 0.
 
     alpha, beta : ends of the interval [-], beta - alpha >= WIDE and alpha <= NEAR; differences cancel digits outside
@@ -125,7 +125,7 @@ def wide_interval_terms(alpha: float, beta: float):  # type: ignore[no-untyped-d
 
 
 @njit
-def moments(x0: float, low: float, high: float):  # type: ignore[no-untyped-def]
+def moments(x0: float, low: float, high: float):
     """M0, and M1 / M0 to M4 / M0 [-], of the weight exp(-x0 t - t^2 / 2) for t from low to high.
 
     x0        : point of the interval nearest to the mean [-], not below 0

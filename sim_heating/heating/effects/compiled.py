@@ -72,7 +72,7 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
 
     rest = numba.njit(error_model="numpy")(_join(kernels[:last]))
 
-    def joined(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    def joined(code, B, c, p, wall_K):
         if code == last:
             return kernel(B, c, p, wall_K)
         return rest(code, B, c, p, wall_K)
@@ -99,7 +99,7 @@ def effect_dispatcher(effects: tuple[Effect, ...]) -> EffectDispatcher:
     return EffectDispatcher(_compiled_call(), tuple(compiled_kernel(e).address for e in effects))
 
 
-def _call(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+def _call(code, B, c, p, wall_K):
     """Dispatcher to kernels by their addresses."""
     return call_effect(code, B, c, p, wall_K)
 

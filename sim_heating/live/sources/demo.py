@@ -133,7 +133,7 @@ class _StoppedError(Exception):
     """Ends a flight from within its frame."""
 
 
-def flight_source(speed: float):  # type: ignore[no-untyped-def]
+def flight_source(speed: float):
     """A function that opens the only source of the demonstration, from a link, its number and a remark."""
 
     def opened(link: Link, number: int, remark: Remark) -> SourceStream:

@@ -59,7 +59,7 @@ ALTITUDE_IN_ROW, SPEED_IN_ROW = 1, 2
 
 
 @njit
-def _choose(R, N) -> None:  # type: ignore[no-untyped-def]
+def _choose(R, N) -> None:
     """Write trigger, channel and pitch mode of each manoeuvre into its script."""
     for m in range(N[MANOEUVRES]):
         choices, entry = at(N, N[CHOICES] + CHOICES_EACH * m), N[SCRIPT] + PLAN + ENTRY * m
@@ -69,7 +69,7 @@ def _choose(R, N) -> None:  # type: ignore[no-untyped-def]
 
 
 @njit
-def _observe(R, N, tables) -> int:  # type: ignore[no-untyped-def]
+def _observe(R, N, tables) -> int:
     """Write the frame and what guidance uses; its problem, GOOD without one."""
     row = at(R, N[ROW])
     observe_kernel(at(R, N[STATE]), at(R, N[FLIGHT]), at(tables, N[AERO]), at(R, N[WORK]), row, True)
@@ -83,7 +83,7 @@ def _observe(R, N, tables) -> int:  # type: ignore[no-untyped-def]
 
 
 @njit
-def _follow_inputs(R, N, tables, fraction: float, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _follow_inputs(R, N, tables, fraction: float, dt: float) -> None:
     """One frame with the commands of the inputs, a share of the way through the communication step at its end."""
     state, before, after = at(R, N[STATE]), at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT])
     alpha = before[IN_ALPHA] + fraction * (after[IN_ALPHA] - before[IN_ALPHA])
@@ -101,7 +101,7 @@ def _follow_inputs(R, N, tables, fraction: float, dt: float) -> None:  # type: i
 
 
 @inline_always
-def _start(R, N, tables) -> int:  # type: ignore[no-untyped-def]
+def _start(R, N, tables) -> int:
     """Set the initial state on the schedule of guidance."""
     for k in range(N[N_INPUTS]):
         R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
@@ -114,7 +114,7 @@ def _start(R, N, tables) -> int:  # type: ignore[no-untyped-def]
 
 
 @inline_always
-def _step(R, N, tables) -> int:  # type: ignore[no-untyped-def]
+def _step(R, N, tables) -> int:
     """Advance the flight to the end of a communication step."""
     length = R[NEXT] - R[NOW]
     frames = max(math.ceil(length / R[N[OPTIONS] + FRAME_S] - 1e-9), 1)
@@ -135,7 +135,7 @@ def _step(R, N, tables) -> int:  # type: ignore[no-untyped-def]
     return outcome
 
 
-def advance(R, N, A, tables) -> int:  # type: ignore[no-untyped-def]
+def advance(R, N, A, tables) -> int:
     """The model, as library.py describes it; all of its R and N is kept, so that nothing is to be done to resume."""
     if N[MODE] == RESUME:
         return GOOD

@@ -154,7 +154,7 @@ read, or are caches with bounds."""
 
 
 @njit
-def _first_out_of_range(values, ranges, n: int) -> int:  # type: ignore[no-untyped-def]
+def _first_out_of_range(values, ranges, n: int) -> int:
     """Number of the first input out of its range, GOOD where all are within."""
     for k in range(n):
         if not ranges[2 * k] <= values[k] <= ranges[2 * k + 1]:
@@ -163,7 +163,7 @@ def _first_out_of_range(values, ranges, n: int) -> int:  # type: ignore[no-untyp
 
 
 @inline_always
-def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int, every: bool) -> None:  # type: ignore[no-untyped-def]
+def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int, every: bool) -> None:
     """Write the parameters of the points of a group into its block: of every point, or where they differ from those
     that it holds.
     """
@@ -190,7 +190,7 @@ def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int, every: boo
 
 
 @njit
-def _derive_vectors(R, N, T, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
+def _derive_vectors(R, N, T, inputs, time: float) -> None:
     """Condition vectors of all lanes from inputs."""
     n = N[N_ROWS]
     frame = carray(at(R, N[FRAMES]), len(FRAME))
@@ -215,7 +215,7 @@ def _derive_vectors(R, N, T, inputs, time: float) -> None:  # type: ignore[no-un
 
 
 @njit
-def _begin(R, N, A, T, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
+def _begin(R, N, A, T, inputs, time: float) -> None:
     _derive_vectors(R, N, T, inputs, time)
     n = N[N_ROWS]
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
@@ -229,7 +229,7 @@ def _begin(R, N, A, T, inputs, time: float) -> None:  # type: ignore[no-untyped-
 
 
 @njit
-def _advance(R, N, A, T, inputs, time: float, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _advance(R, N, A, T, inputs, time: float, dt: float) -> None:
     """Advance to the conditions of inputs at a time, over dt [s], in thermal steps of at most LONGEST_STEP."""
     _derive_vectors(R, N, T, inputs, time)
     n = N[N_ROWS]
@@ -248,7 +248,7 @@ def _advance(R, N, A, T, inputs, time: float, dt: float) -> None:  # type: ignor
 
 
 @njit
-def _hold_sensors(R, N) -> None:  # type: ignore[no-untyped-def]
+def _hold_sensors(R, N) -> None:
     """Keep the temperatures at the places of the sensors at the start of a step, or of a part of it."""
     for s in range(N[N_SENSORS]):
         sensor = at(N, N[SENSOR_INTS] + SENSOR_WIDTH * s)
@@ -256,7 +256,7 @@ def _hold_sensors(R, N) -> None:  # type: ignore[no-untyped-def]
 
 
 @njit
-def _lag_sensors(R, N, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _lag_sensors(R, N, dt: float) -> None:
     """Advance the temperatures behind the lags of the sensors by dt [s]; at 0, the start, they are those in front."""
     for s in range(N[N_SENSORS]):
         sensor = at(N, N[SENSOR_INTS] + SENSOR_WIDTH * s)
@@ -267,7 +267,7 @@ def _lag_sensors(R, N, dt: float) -> None:  # type: ignore[no-untyped-def]
 
 
 @inline_always
-def _advance_through(R, N, A, T, now, then) -> None:  # type: ignore[no-untyped-def]
+def _advance_through(R, N, A, T, now, then) -> None:
     """Advance from the inputs at the start of a step to those at its end, a long one in parts as the plug-in does."""
     n, width = N[N_INPUTS], len(FRAME)
     first, last = carray(at(R, N[STARTED_FROM]), width), carray(at(R, N[FRAMES]), width)
@@ -296,7 +296,7 @@ def _advance_through(R, N, A, T, now, then) -> None:  # type: ignore[no-untyped-
 
 
 @njit
-def _follow_ratio_tables(R, N, T) -> None:  # type: ignore[no-untyped-def]
+def _follow_ratio_tables(R, N, T) -> None:
     """Write the ratio tables that the lanes use into the constants of the points, whose thin air they bridge."""
     for i in range(N[N_POINTS]):
         point = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
@@ -308,7 +308,7 @@ def _follow_ratio_tables(R, N, T) -> None:  # type: ignore[no-untyped-def]
 
 
 @njit
-def _write_parameters(R, N, every: bool) -> None:  # type: ignore[no-untyped-def]
+def _write_parameters(R, N, every: bool) -> None:
     """Write the parameters into all groups: of every point, or where they differ from those that the lanes hold."""
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
@@ -318,7 +318,7 @@ def _write_parameters(R, N, every: bool) -> None:  # type: ignore[no-untyped-def
 
 
 @inline_always
-def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
+def _clear_counts(R, N) -> None:
     """Set the counters of all groups to 0."""
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     for g in range(N[N_GROUPS]):
@@ -329,7 +329,7 @@ def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
 
 
 @njit
-def _write_outputs(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
+def _write_outputs(R, N, A, T) -> int:
     """Write the outputs; number of the first point whose step did not converge, GOOD where all did."""
     outcome = GOOD
     # From the last point to the first: the outcome that remains is the first point that failed.
@@ -368,7 +368,7 @@ def _write_outputs(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
 
 
 @inline_always
-def _start(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
+def _start(R, N, A, T) -> int:
     """Set the initial temperatures of the stacks, in the conditions of the inputs."""
     n = N[N_INPUTS]
     for k in range(n):
@@ -389,7 +389,7 @@ def _start(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
 
 
 @inline_always
-def _step(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
+def _step(R, N, A, T) -> int:
     """Advance all points to the end of a step."""
     n = N[N_INPUTS]
     now, then, ranges = at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT]), at(R, N[RANGES])
@@ -417,7 +417,7 @@ def _step(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
 
 
 @inline_always
-def _resume(R, N, T) -> int:  # type: ignore[no-untyped-def]
+def _resume(R, N, T) -> int:
     """Make the blocks agree with the kept rows of another instance (KEPT_ROWS, KEPT_NODE_ROWS)."""
     # Property polynomials stay: they hold for temperatures between their bounds, whichever instance asks.
     _write_parameters(R, N, False)
@@ -450,7 +450,7 @@ def _resume(R, N, T) -> int:  # type: ignore[no-untyped-def]
     return GOOD
 
 
-def advance(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
+def advance(R, N, A, T) -> int:
     """The model, as library.py describes it."""
     if N[MODE] == RESUME:
         return _resume(R, N, T)
