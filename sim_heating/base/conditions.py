@@ -53,8 +53,13 @@ DESCRIPTIONS = {
 """What each column of a file of conditions holds, for pages and schemas."""
 
 DERIVED = (
-    "H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "still_air_W_m2K43", "H_upstream_J_kg",
-)  # fmt: skip
+    "H_r_rise_J_kg",
+    "turbulent_ratio",
+    "log10_re_theta_m",
+    "dissociation_J_kg",
+    "still_air_W_m2K43",
+    "H_upstream_J_kg",
+)
 """Columns of one control point that follow from the others and from its declaration; no file holds them."""
 
 SURFACES = ("elevon_deg", "bodyflap_deg")
@@ -67,9 +72,16 @@ SHUTTLE_MACH_M_S = 304.8
 """1000 ft/s [m/s], the unit of 'Mach' in the Shuttle literature."""
 
 FRAME = (
-    "time_s", "altitude_m", "velocity_m_s", "alpha_deg", "beta_deg",
-    "elevon_deg", "bodyflap_deg", "rho_kg_m3", "jets",
-)  # fmt: skip
+    "time_s",
+    "altitude_m",
+    "velocity_m_s",
+    "alpha_deg",
+    "beta_deg",
+    "elevon_deg",
+    "bodyflap_deg",
+    "rho_kg_m3",
+    "jets",
+)
 """Inputs that a host gives at each frame; temperature, Mach and Reynolds number are derived from them."""
 
 EXTRAS = ("bank_deg", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "axial_accel_g")
@@ -80,9 +92,14 @@ ACCOMPANYING = (*EXTRAS, "qbar_Pa")
 """Columns of a record that nothing of its heating follows from; a link on it takes them where they are sent."""
 
 LINE_TOLERANCE = {
-    "velocity_m_s": 0.0, "alpha_deg": 0.02, "beta_deg": 0.02, "elevon_deg": 0.05, "bodyflap_deg": 0.05,
-    "rho_kg_m3": 0.0, "jets": 0.02,
-}  # fmt: skip
+    "velocity_m_s": 0.0,
+    "alpha_deg": 0.02,
+    "beta_deg": 0.02,
+    "elevon_deg": 0.05,
+    "bodyflap_deg": 0.05,
+    "rho_kg_m3": 0.0,
+    "jets": 0.02,
+}
 LINE_TOLERANCE_SHARE = {"velocity_m_s": 0.002, "rho_kg_m3": 0.002}
 """Distance from a straight line in time that heating does not notice, in the unit of the variable, plus a share of its
 value: what samples of a flight, linear between them, may leave out; a host may bend by a part of it within a thermal

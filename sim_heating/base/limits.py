@@ -96,8 +96,14 @@ class Quantity:
         return f"the schedule ends at {last:g}, below {self.reach:g}{question}"
 
 
-def _range(lowest: float, highest: float, noun: str, slips: Mapping[str, float] | None = None,
-           usual: tuple[float, float] = (-math.inf, math.inf), reach: float = -math.inf) -> Quantity:  # fmt: skip
+def _range(
+    lowest: float,
+    highest: float,
+    noun: str,
+    slips: Mapping[str, float] | None = None,
+    usual: tuple[float, float] = (-math.inf, math.inf),
+    reach: float = -math.inf,
+) -> Quantity:
     return Quantity(lowest, highest, f"is not {noun} ({lowest:g} to {highest:g})", slips or {}, usual, reach)
 
 

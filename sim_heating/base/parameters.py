@@ -117,16 +117,25 @@ LAYER_SLOTS = 8
 """Names of layers that a control point has parameters for, outermost first."""
 
 NONLINEAR = (
-    "stack.coating.thickness_factor", "stack.contact_factor", "back.T_K", "stack.moisture.boil_K",
-    "stack.moisture.condense_K", "stack.moisture.width_K", "stack.gap.depth_m",
+    "stack.coating.thickness_factor",
+    "stack.contact_factor",
+    "back.T_K",
+    "stack.moisture.boil_K",
+    "stack.moisture.condense_K",
+    "stack.moisture.width_K",
+    "stack.gap.depth_m",
     "stack.rsi.radiation_from_K",
-)  # fmt: skip
+)
 """Parameters in which the heat balance at given temperatures is not affine; those of effects, and the thickness of any
 layer, count as such."""
 
 BOUNDARY = (
-    *(p.name for p in RATIO), "stack.emissivity_factor", "back.h_W_m2K", "back.T_K", "back.emissivity",
-)  # fmt: skip
+    *(p.name for p in RATIO),
+    "stack.emissivity_factor",
+    "back.h_W_m2K",
+    "back.T_K",
+    "back.emissivity",
+)
 """Parameters that change the fluxes into a wall and nothing within it, as those of effects with a kernel do."""
 
 CLOCK_SKEW = Parameter("clock.skew", "s", 0.0, 0.5, -10.0, 10.0, "recorded T(t) = true T(t - skew): above 0, it lags")

@@ -238,9 +238,16 @@ def estimate(
     noise = _process_noise(node_noise, ratio_noise)
     names = None if parameters is None else list(parameters)
     stated = merged_settings(
-        settings_file, parameters=names, reference=reference, start=start, fit=fit, fix=fix, prior=prior, bound=bound,
+        settings_file,
+        parameters=names,
+        reference=reference,
+        start=start,
+        fit=fit,
+        fix=fix,
+        prior=prior,
+        bound=bound,
         tie=tie,
-    )  # fmt: skip
+    )
     if segments is not None:
         if noise is not None:
             raise InputError(
@@ -262,10 +269,18 @@ def estimate(
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
     with progress_line("estimate") as progress:
         fitted = fit_records(
-            loaded, stated.parameters, reference=stated.reference_condition, fixed=stated.fix, priors=stated.priors,
-            bounds=stated.bounds, ties=stated.tie, starts=starts, process_noise=noise, profiles=profiles,
+            loaded,
+            stated.parameters,
+            reference=stated.reference_condition,
+            fixed=stated.fix,
+            priors=stated.priors,
+            bounds=stated.bounds,
+            ties=stated.tie,
+            starts=starts,
+            process_noise=noise,
+            profiles=profiles,
             progress=progress,
-        )  # fmt: skip
+        )
         progress(0.95, "writing")
         names = write_fit(fitted, out)
     contents = estimate_contents(fitted)
@@ -312,9 +327,16 @@ def _estimate_trend(
     require_writable(out, "estimate", expected=TREND, inputs=[record.directory])
     with progress_line("estimate") as progress:
         fitted = trend(
-            record, length_s, stated.parameters, start=start, reference=stated.reference_condition,
-            fixed=stated.fix, priors=stated.priors, bounds=stated.bounds, progress=progress,
-        )  # fmt: skip
+            record,
+            length_s,
+            stated.parameters,
+            start=start,
+            reference=stated.reference_condition,
+            fixed=stated.fix,
+            priors=stated.priors,
+            bounds=stated.bounds,
+            progress=progress,
+        )
         names = write_trend(fitted, out)
     many = "s" if len(fitted.segments) != 1 else ""
     CONSOLE.print(f"{len(fitted.segments)} segment{many} of {length_s:g} s fitted, {len(fitted.left_out)} left out")

@@ -122,9 +122,15 @@ def export(
         with progress_line("fmu export") as progress:
             progress(0.1, COMPILING)
             image = export_fmu(
-                loaded, out, points, fmi=int(fmi), platforms=platforms, columns=reference == "columns",
-                input_timing=input_timing, progress=progress,
-            )  # fmt: skip
+                loaded,
+                out,
+                points,
+                fmi=int(fmi),
+                platforms=platforms,
+                columns=reference == "columns",
+                input_timing=input_timing,
+                progress=progress,
+            )
         results |= _print_export(out, image, fmi, platforms, _names(loaded, points))
     report_results(results)
 
@@ -176,17 +182,28 @@ def _export_system(
     with progress_line("fmu export") as progress:
         progress(0.1, COMPILING)
         system = export_ssp(
-            vehicle, flown.declared.trajectory, out, points, title=flown.title, platforms=platforms,
-            input_timing=input_timing, progress=progress,
-        )  # fmt: skip
+            vehicle,
+            flown.declared.trajectory,
+            out,
+            points,
+            title=flown.title,
+            platforms=platforms,
+            input_timing=input_timing,
+            progress=progress,
+        )
     about = f"SSP 1.0, 2 FMUs (FMI {FMI}.0), {len(system.connections)} connections, {', '.join(platforms)}"
     end = f"the scenario ends at {system.stop_s:.6g} s"
     CONSOLE.print(f"Wrote {out}: {about}, {out.stat().st_size / 1e6:.2f} MB; {end}", soft_wrap=True)
     report_files(None, [out])
     return {
-        "ssp": "1.0", "fmi": f"{FMI}.0", "connections": system.connections, "platforms": platforms,
-        "stop_time_s": system.stop_s, "bytes": out.stat().st_size, "control_points": _names(vehicle, points),
-    }  # fmt: skip
+        "ssp": "1.0",
+        "fmi": f"{FMI}.0",
+        "connections": system.connections,
+        "platforms": platforms,
+        "stop_time_s": system.stop_s,
+        "bytes": out.stat().st_size,
+        "control_points": _names(vehicle, points),
+    }
 
 
 def _scenario_of(path: Path, vehicle: Vehicle, root: Path | None) -> Scenario:

@@ -154,9 +154,14 @@ def _follow(
     require_writable(directory, COMMAND, expected=expected_files(link), inputs=inputs_of(link))
     contents = link.declared.model_dump(mode="json", exclude_unset=True)
     journal = Journal(
-        directory / NAME, contents, link.path, fsync_s=link.declared.journal.fsync_s, means=meaning(link),
-        sent_again=sent_again, has_results=(directory / RESULT).is_file(),
-    )  # fmt: skip
+        directory / NAME,
+        contents,
+        link.path,
+        fsync_s=link.declared.journal.fsync_s,
+        means=meaning(link),
+        sent_again=sent_again,
+        has_results=(directory / RESULT).is_file(),
+    )
     ended = False
     try:
         engine = LinkEngine(link, journal)

@@ -202,15 +202,22 @@ def _log_to_standard_error(context: click.Context, _: click.Parameter, count: in
 
 COMMON_OPTIONS = (
     click.Option(
-        [JSON_OPTION], is_flag=True, is_eager=True, expose_value=False, callback=_enter_name,
+        [JSON_OPTION],
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=_enter_name,
         help="print one JSON object with status, files and results in place of text",
     ),
     click.Option([QUIET_OPTION], is_flag=True, expose_value=False, help="print only warnings and errors"),
     click.Option(
-        ["-v", "--verbose"], count=True, expose_value=False, callback=_log_to_standard_error,
+        ["-v", "--verbose"],
+        count=True,
+        expose_value=False,
+        callback=_log_to_standard_error,
         help="log what is fitted and written to standard error; -vv: in detail",
     ),
-)  # fmt: skip
+)
 """Options that the group and all its commands take. They are found in the arguments, as wrong usage is reported too."""
 
 

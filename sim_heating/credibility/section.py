@@ -83,17 +83,29 @@ def rules_table() -> Table:
 def cases_table(cases: Sequence[ValidationCase]) -> Table:
     """Measured data sets with the errors of their predictions and the conditions that they cover."""
     columns = [
-        Column("data set"), Column("kind", is_text=True), Column("RMSE", "rmse_K", ".3g", "K"),
-        Column("largest", "max_abs_K", ".3g", "K"), Column("measured rise", "rise_K", ".3g", "K"),
-        Column("Mach", is_text=True), Column("alpha, deg", is_text=True), Column("log10 Re", is_text=True),
-        Column("wall, K", is_text=True), Column("added by", is_text=True),
-    ]  # fmt: skip
+        Column("data set"),
+        Column("kind", is_text=True),
+        Column("RMSE", "rmse_K", ".3g", "K"),
+        Column("largest", "max_abs_K", ".3g", "K"),
+        Column("measured rise", "rise_K", ".3g", "K"),
+        Column("Mach", is_text=True),
+        Column("alpha, deg", is_text=True),
+        Column("log10 Re", is_text=True),
+        Column("wall, K", is_text=True),
+        Column("added by", is_text=True),
+    ]
     rows = [
-        [c.name, c.kind, c.rmse_K, c.max_abs_K, c.rise_K,
-*(_range(c, n, form) for n, form in RANGES),
-         "user" if c.of_user else "project"]
+        [
+            c.name,
+            c.kind,
+            c.rmse_K,
+            c.max_abs_K,
+            c.rise_K,
+            *(_range(c, n, form) for n, form in RANGES),
+            "user" if c.of_user else "project",
+        ]
         for c in cases
-    ]  # fmt: skip
+    ]
     return Table("Measured data sets, predicted with nothing fitted", columns, rows)
 
 

@@ -112,8 +112,14 @@ class Statement:
     def uncovered(self) -> tuple[str, ...]:
         """Topics that the result uses and no verification row covers, or whose rows are not all within their limits."""
         none = [t for t in sorted(self.facts.topics) if t not in self.evidence.topics]
-        return tuple(none + [t for t in sorted(self.facts.topics) if t in self.evidence.topics
-                             and not self.evidence.topics[t].verified])  # fmt: skip
+        return tuple(
+            none
+            + [
+                t
+                for t in sorted(self.facts.topics)
+                if t in self.evidence.topics and not self.evidence.topics[t].verified
+            ]
+        )
 
     @property
     def judged(self) -> tuple[DeclaredInput, ...]:
@@ -131,7 +137,9 @@ class Statement:
             "factors": _factors_json(self.assessments),
             "evidence": {n: {"met": f.holds, "finding": f.text} for n, f in self.findings.items()},
             "verification": {
-                "topics": used, "uncovered": list(self.uncovered), "date": self.evidence.date,
+                "topics": used,
+                "uncovered": list(self.uncovered),
+                "date": self.evidence.date,
                 "digest": self.evidence.digest,
             },
             "region": {
@@ -143,15 +151,21 @@ class Statement:
                 "data_sets": dict(self.region.share_by_case),
             },
             "confidence_C": [{"input": i.name, "source": i.source} for i in self.judged],
-            "uncertainty": None if u is None else {
-                "quantity": u.quantity, "unit": u.unit, "value": u.value, "sigma": u.sigma, "method": u.method,
+            "uncertainty": None
+            if u is None
+            else {
+                "quantity": u.quantity,
+                "unit": u.unit,
+                "value": u.value,
+                "sigma": u.sigma,
+                "method": u.method,
                 "contributions": {n: {"sigma": c, "share": u.share(n)} for n, c in u.contributions.items()},
             },
             "files": dict(self.facts.files),
             "reviews": [{**r.review.model_dump(mode="json"), "counts": r.counts} for r in self.reviews],
             "reviewable": self.facts.reviewed,
             "problems": list(self.problems),
-        }  # fmt: skip
+        }
 
 
 def summary_line(assessments: Sequence[Assessment], region: str) -> str:

@@ -509,11 +509,15 @@ def _all_in_one(lists: Sequence[ParameterList]) -> Table:
     """All lists as one table, for CSV."""
     keys = [k for k in ListedParameter.__dataclass_fields__ if k not in ("other_names", "confounded_with")]
     rows = [
-        [of_point.control_point, *(_cell(getattr(p, k)) for k in keys),
-         " ".join(p.other_names), " ".join(f"{n}:{rho:.3f}" for n, rho in p.confounded_with)]
+        [
+            of_point.control_point,
+            *(_cell(getattr(p, k)) for k in keys),
+            " ".join(p.other_names),
+            " ".join(f"{n}:{rho:.3f}" for n, rho in p.confounded_with),
+        ]
         for of_point in lists
         for p in of_point.parameters
-    ]  # fmt: skip
+    ]
     return Table("Parameters", ["control_point", *keys, "other_names", "confounded_with"], rows)
 
 

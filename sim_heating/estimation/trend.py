@@ -366,9 +366,14 @@ def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[
     declared = record_fit.track(values)
     nodes = tuple(range(record_fit.mesh.nodes))
     track = Track(
-        record_fit.model_at(values), record_fit.mesh, record_fit.march_names, np.array([time_s]), nodes,
-        declared.initial_K, declared.initial_columns,
-    )  # fmt: skip
+        record_fit.model_at(values),
+        record_fit.mesh,
+        record_fit.march_names,
+        np.array([time_s]),
+        nodes,
+        declared.initial_K,
+        declared.initial_columns,
+    )
     marched = LinearMarch([track], time, record_fit.history(time)).march()[0]
     return marched.temperature_K[:, 0], marched.sensitivity[:, 0]
 
@@ -416,9 +421,17 @@ def _segment(
     sigma = float(np.sqrt(slope @ _of_march(record_fit, fit.covariance) @ slope))
     m, condition = len(record_fit.march_names), tuple(float(v) for v in np.mean(x, axis=0))
     segment = Segment(
-        begin, end, count, condition, float(np.mean(ratio)), sigma, fit.values[:m], fit.sigma[:m],
-        float(np.mean(declared)), misfit,
-    )  # fmt: skip
+        begin,
+        end,
+        count,
+        condition,
+        float(np.mean(ratio)),
+        sigma,
+        fit.values[:m],
+        fit.sigma[:m],
+        float(np.mean(declared)),
+        misfit,
+    )
     return segment, slope
 
 

@@ -139,8 +139,12 @@ def pack_flows(flows: Sequence[EdgeFlow]) -> tuple[FloatArray, FloatArray]:
                 row[column], end = end, end + len(tables[-1])
         largest = 1.0 if flow.laminar is None else float(np.max(flow.laminar.ratio))
         row[LARGEST:] = (
-            largest, float(flow.re_theta), ATOMS_OF[flow.atoms], flow.running_length_m, *flow.recovery.parameters(),
-        )  # fmt: skip
+            largest,
+            float(flow.re_theta),
+            ATOMS_OF[flow.atoms],
+            flow.running_length_m,
+            *flow.recovery.parameters(),
+        )
     return numbers, np.concatenate([*tables, np.zeros(1)])
 
 
@@ -213,9 +217,14 @@ def re_theta_over_mach(edge: SurfaceEdge, length_m: float) -> float:
 
 @njit
 def edge_flow_kernel(
-    state: tuple[float, float, float, float], velocity_m_s: float, x: FloatArray, numbers: FloatArray, first: int,
-    tables: FloatArray, last_edge: SurfaceEdge,
-) -> tuple[float, float, float, SurfaceEdge]:  # fmt: skip
+    state: tuple[float, float, float, float],
+    velocity_m_s: float,
+    x: FloatArray,
+    numbers: FloatArray,
+    first: int,
+    tables: FloatArray,
+    last_edge: SurfaceEdge,
+) -> tuple[float, float, float, SurfaceEdge]:
     """turbulent_ratio [-], log10_re_theta_m [-], dissociation_J_kg [J/kg] of a point; 1, 0 and 0 where not asked for.
 
     state          : stagnation pressure [Pa], enthalpy [J/kg] and density [kg/m3], free-stream pressure [Pa], as
@@ -254,9 +263,14 @@ def edge_flow_kernel(
 
 @njit
 def _flow_loop(
-    rho: FloatArray, V: FloatArray, T_inf: FloatArray, x: FloatArray, numbers: FloatArray, tables: FloatArray,
+    rho: FloatArray,
+    V: FloatArray,
+    T_inf: FloatArray,
+    x: FloatArray,
+    numbers: FloatArray,
+    tables: FloatArray,
     out: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     for i in range(len(V)):
         state = stagnation_kernel(rho[i], max(V[i], SLOWEST_M_S), T_inf[i])
         out[i, 0], out[i, 1], out[i, 2], _ = edge_flow_kernel(

@@ -157,9 +157,17 @@ class LinkEngine:
         limits = {name: _limits(link, name) for name in link.names}
         self.ahead = AheadOfLink(link, self.estimator, limits)
         self._present = PresentState(
-            link, self.estimator, self.arrivals, parameters_of(link), self.remarks.lines, self.checks, self.test,
-            self.weighing, self.ahead, limits,
-        )  # fmt: skip
+            link,
+            self.estimator,
+            self.arrivals,
+            parameters_of(link),
+            self.remarks.lines,
+            self.checks,
+            self.test,
+            self.weighing,
+            self.ahead,
+            limits,
+        )
         self._journal_problem = ""
 
     @property

@@ -10,9 +10,15 @@ from sim_heating.base.kernels import block
 from sim_heating.march.lanes import LaneMemory
 
 CLEARED = (
-    block.FAILED, block.ITERATIONS, block.STEPS, block.OUTSIDE, block.NEGATIVE, block.ENERGY_IN, block.ENERGY_OUT,
+    block.FAILED,
+    block.ITERATIONS,
+    block.STEPS,
+    block.OUTSIDE,
+    block.NEGATIVE,
+    block.ENERGY_IN,
+    block.ENERGY_OUT,
     block.LAG_PAST,
-)  # fmt: skip
+)
 """Rows that a march begins with 0."""
 
 

@@ -303,9 +303,14 @@ class Ensemble:
         return out
 
     def march_lanes(
-        self, group: int, time_s: FloatArray, histories: FloatArray, flights: IntArray, longest_step_s: float,
+        self,
+        group: int,
+        time_s: FloatArray,
+        histories: FloatArray,
+        flights: IntArray,
+        longest_step_s: float,
         kept: IntArray,
-    ) -> FloatArray:  # fmt: skip
+    ) -> FloatArray:
         """March one lane group through its flights from the present temperatures, without any check.
 
         time_s         : (time,) samples [s];  histories : (flight, time, condition), in the units of their columns

@@ -109,9 +109,16 @@ def begin_groups(
 
 @njit
 def advance_groups(
-    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray, then: FloatArray,
-    dt: float, steps: int,
-) -> None:  # fmt: skip
+    state: FloatArray,
+    ints: IntArray,
+    table: FloatArray,
+    dispatcher,
+    advance,
+    groups: IntArray,
+    then: FloatArray,
+    dt: float,
+    steps: int,
+) -> None:
     """Advance all lane groups by one frame of a host, its conditions linear between the present and the new ones.
 
     state ... groups : all lane groups, as in LaneGroups; the state changes

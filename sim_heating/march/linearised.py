@@ -529,9 +529,15 @@ def _read_samples(
 
 @njit
 def march_linear(
-    group: LaneGroup, X: FloatArray, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights,
-    S: Columns, requested: Requested, out: FloatArray,
-) -> None:  # fmt: skip
+    group: LaneGroup,
+    X: FloatArray,
+    perturbed: PerturbedGroups,
+    offsets: PerturbedOffsets,
+    flights: Flights,
+    S: Columns,
+    requested: Requested,
+    out: FloatArray,
+) -> None:
     """March one lane group with the sensitivities of its lanes.
 
         A1 S1 = e + d dt f - G_p,    A2 S2 = e + (w/d) (e1 - e) - G_p

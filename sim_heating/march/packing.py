@@ -46,9 +46,13 @@ class PointWriter:
     """
 
     def __init__(
-        self, models: Sequence[PointModel], meshes: Sequence[Mesh], memory: LaneMemory, tables: TableStore,
+        self,
+        models: Sequence[PointModel],
+        meshes: Sequence[Mesh],
+        memory: LaneMemory,
+        tables: TableStore,
         tolerance_K: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.memory, self.tables = memory, tables
         distinct = _distinct_effects(models)
         self.dispatcher = effect_dispatcher(distinct)

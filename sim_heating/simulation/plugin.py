@@ -76,9 +76,15 @@ LONGEST_WAIT_S = 0.25
 
 
 _WARM_UP_FRAME = {
-    "time_s": 0.0, "altitude_m": 70e3, "velocity_m_s": 6000.0, "alpha_deg": 40.0, "beta_deg": 0.0, "elevon_deg": 0.0,
-    "bodyflap_deg": 0.0, "rho_kg_m3": 1e-4,
-}  # fmt: skip
+    "time_s": 0.0,
+    "altitude_m": 70e3,
+    "velocity_m_s": 6000.0,
+    "alpha_deg": 40.0,
+    "beta_deg": 0.0,
+    "elevon_deg": 0.0,
+    "bodyflap_deg": 0.0,
+    "rho_kg_m3": 1e-4,
+}
 """A frame within the tables; what it is does not matter."""
 
 
@@ -123,9 +129,15 @@ class HeatingPlugin:
     ) -> None:
         names = list(vehicle.control_points) if control_points is None else list(control_points)
         self._made_of = partial(
-            HeatingPlugin, vehicle, names, longest_step_s=longest_step_s, longest_wait_s=longest_wait_s, nodes=nodes,
-            parameters=parameters, effects=effects,
-        )  # fmt: skip
+            HeatingPlugin,
+            vehicle,
+            names,
+            longest_step_s=longest_step_s,
+            longest_wait_s=longest_wait_s,
+            nodes=nodes,
+            parameters=parameters,
+            effects=effects,
+        )
         self.points = [vehicle.control_point(name) for name in names]
         self.names = tuple(names)
         # A frame of a vehicle without control surfaces needs no deflections.
@@ -150,9 +162,14 @@ class HeatingPlugin:
         self._published[k.TAU, 2 * len(names) :] = [s.tau_s for p in self.points for s in p.sensors]
         self.watch = partial(k.watch_frame, self._host, self._published)
         self._arguments = (
-            e.lane_groups, self.constants, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
-            np.array([offset for _, _, offset in outputs]), self._host, self._published,
-        )  # fmt: skip
+            e.lane_groups,
+            self.constants,
+            e.lanes,
+            np.zeros((len(e.lanes), N_CONDITIONS)),
+            np.array([offset for _, _, offset in outputs]),
+            self._host,
+            self._published,
+        )
 
     # Stepping --------------------------------------------------------------------------------------------------------
 
@@ -385,11 +402,16 @@ def host_array(vehicle: Vehicle, longest_step_s: float = 0.0, longest_wait_s: fl
     """
     host = np.zeros(k.HOST_SIZE)
     host[: k.STARTED] = (
-        reference_model(vehicle.heating.reference).code, vehicle.reference_length_m,
-        vehicle.heating.nose_radius_m or 1.0, vehicle.heating.sweep_deg or 0.0, longest_step_s, longest_wait_s,
+        reference_model(vehicle.heating.reference).code,
+        vehicle.reference_length_m,
+        vehicle.heating.nose_radius_m or 1.0,
+        vehicle.heating.sweep_deg or 0.0,
+        longest_step_s,
+        longest_wait_s,
         reference_model(vehicle.heating.reference).holds_m_s[1],
-        float(vehicle.declared.surroundings == "by altitude"), 0.0,
-    )  # fmt: skip
+        float(vehicle.declared.surroundings == "by altitude"),
+        0.0,
+    )
     return host
 
 

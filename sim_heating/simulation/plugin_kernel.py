@@ -228,9 +228,16 @@ def watch_frame(host: FloatArray, published: FloatArray, frame: FloatArray) -> i
 
 @njit
 def _film_at_point(
-    code: int, h_ref: float, rho: float, V: float, T_inf: float, x: FloatArray, sweep_deg: float, point: FloatArray,
+    code: int,
+    h_ref: float,
+    rho: float,
+    V: float,
+    T_inf: float,
+    x: FloatArray,
+    sweep_deg: float,
+    point: FloatArray,
     tables: FloatArray,
-) -> float:  # fmt: skip
+) -> float:
     """Reference film coefficient [kg/(m2 s)] of a point, bridged in thin air (heating/reference/rarefied.py).
 
     h_ref : in continuum flow;  x : conditions of the point, its ratio variables and recovery enthalpy among them
@@ -379,9 +386,15 @@ def _update_parabolas(state: FloatArray, offsets: IntArray, published: FloatArra
 
 @njit
 def _heat_to(
-    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, offsets: IntArray,
-    host: FloatArray, published: FloatArray, frame: FloatArray,
-) -> None:  # fmt: skip
+    all_lanes: LaneGroups,
+    points: PointConstants,
+    lanes: IntArray,
+    vectors: FloatArray,
+    offsets: IntArray,
+    host: FloatArray,
+    published: FloatArray,
+    frame: FloatArray,
+) -> None:
     """Advance from the frame that the model is at to another, in thermal steps of at most LONGEST_STEP."""
     dt = frame[F_TIME] - host[THERMAL_FRAME + F_TIME]
     # Without the 1e-9, rounding would add a step to a wait that is a multiple of the longest one.
@@ -429,9 +442,15 @@ def write_frame_between(first: FloatArray, frame: FloatArray, fraction: float, b
 
 @njit
 def _heat_through(
-    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, offsets: IntArray,
-    host: FloatArray, published: FloatArray, frame: FloatArray,
-) -> None:  # fmt: skip
+    all_lanes: LaneGroups,
+    points: PointConstants,
+    lanes: IntArray,
+    vectors: FloatArray,
+    offsets: IntArray,
+    host: FloatArray,
+    published: FloatArray,
+    frame: FloatArray,
+) -> None:
     """Advance to a frame, a long one in parts.
 
     Within a part the reference heating is linear in time, which over 10 s of an entry is up to 16 K off, and in ten
@@ -452,9 +471,16 @@ def _heat_through(
 
 @njit
 def heat_points(
-    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, offsets: IntArray,
-    host: FloatArray, published: FloatArray, frame: FloatArray, outcome: int,
-) -> int:  # fmt: skip
+    all_lanes: LaneGroups,
+    points: PointConstants,
+    lanes: IntArray,
+    vectors: FloatArray,
+    offsets: IntArray,
+    host: FloatArray,
+    published: FloatArray,
+    frame: FloatArray,
+    outcome: int,
+) -> int:
     """Advance all points to a frame, or start with it where it is the first.
 
     all_lanes : lane groups of the ensemble

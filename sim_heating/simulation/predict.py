@@ -37,8 +37,12 @@ from sim_heating.march.point import PointModel
 from sim_heating.simulation.results import prediction_table, write_heating_csv, write_temperatures_csv
 
 FILES = TABLE, HEATING, SUMMARY, PICTURE, PAGE = (
-    "temperatures.csv", "heating.csv", "summary.json", "prediction.png", "report.html"
-)  # fmt: skip
+    "temperatures.csv",
+    "heating.csv",
+    "summary.json",
+    "prediction.png",
+    "report.html",
+)
 """Files that a prediction writes."""
 
 

@@ -542,10 +542,16 @@ def _drawings(result: RunResult, folder: Path, points: Sequence[str] | None = No
     compared = compare(result)
     if compared:
         panels = [
-            (c.measured.label, c.history, c.measured.time_s, c.measured.temperature_K, c.measured.sigma_K,
-             float(c.statistics["rmse_K"]))
+            (
+                c.measured.label,
+                c.history,
+                c.measured.time_s,
+                c.measured.temperature_K,
+                c.measured.sigma_K,
+                float(c.statistics["rmse_K"]),
+            )
             for c in compared
-        ]  # fmt: skip
+        ]
         draws.append(partial(plots.draw_comparison, folder / COMPARED, title, panels))
     return draws
 
@@ -564,11 +570,15 @@ def _page(result: RunResult, folder: Path, points: Sequence[str] | None) -> Page
     contents, windows = summary(result), result.flight.windows
     compared = [
         MeasuredCurve(
-            c.measured.label, c.history, c.measured.time_s, c.measured.temperature_K, c.residual_K,
+            c.measured.label,
+            c.history,
+            c.measured.time_s,
+            c.measured.temperature_K,
+            c.residual_K,
             float(c.statistics["rmse_K"]),
         )
         for c in compare(result)
-    ]  # fmt: skip
+    ]
     manoeuvres = [folder / _picture_of(i, window.kind) for i, window in enumerate(windows, start=1)]
     pictures = RunPictures(folder / TRAJECTORY, folder / TEMPERATURES, folder / HEAT, folder / COMPARED, manoeuvres)
     peaks = run_table("", contents, rmse_by_point(result))

@@ -83,9 +83,13 @@ def check_triggers(spec: TrajectorySpec, vehicle: VehicleData, where: str) -> No
     where  : file and table, for messages
     raises : InputError where the flight fails, or with one line for each trigger that is never met
     """
-    light = spec.model_copy(update={
-        "source": "entry-3dof", "rate_hz": FRAME_RATE_HZ, "sample_s": max(spec.sample_s, 1.0 / FRAME_RATE_HZ),
-    })  # fmt: skip
+    light = spec.model_copy(
+        update={
+            "source": "entry-3dof",
+            "rate_hz": FRAME_RATE_HZ,
+            "sample_s": max(spec.sample_s, 1.0 / FRAME_RATE_HZ),
+        }
+    )
     try:
         with error_context(where):
             flight = entry3dof.fly(light, vehicle)

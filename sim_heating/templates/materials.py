@@ -21,11 +21,16 @@ LAYER = re.compile(rf"\s*(.+?)[\s,:=]+({NUMBER})\s*([A-Za-zµμ\"]*(?:/[a-z]+2)?
 """Pattern of a layer: a material, a thickness or a mass per area, a unit."""
 EXAMPLE = '"copper 3 mm"'
 SYNONYMS = (
-    (r"alumin(i?)um", "al"), (r"titanium", "ti"), (r"stainless", "ss"), (r"\bsteel\b", ""),
+    (r"alumin(i?)um", "al"),
+    (r"titanium", "ti"),
+    (r"stainless", "ss"),
+    (r"\bsteel\b", ""),
     (r"\b(aisi|sae|alloy)\b", ""),
-    (r"\bcu\b", "copper"), (r"\bni\b", "nickel"), (r"fused (quartz|silica)|quartz", "fusedsilica"),
+    (r"\bcu\b", "copper"),
+    (r"\bni\b", "nickel"),
+    (r"fused (quartz|silica)|quartz", "fusedsilica"),
     (r"-t\d+\b", ""),
-)  # fmt: skip
+)
 """Words that people use for one material, and the spelling of the library; tempers of alloys are left out."""
 
 

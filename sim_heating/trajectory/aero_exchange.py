@@ -32,8 +32,12 @@ from sim_heating.heating.exchange.dave_ml import (
 from sim_heating.heating.exchange.ratio_formats import TOLERANCE
 from sim_heating.trajectory.aero import COEFFICIENTS, Aero, Grid
 
-INPUTS = {"mach": ("mach", "nd"), "alpha_deg": ("angleOfAttack", "deg"), "elevon_deg": ("elevonDeflection", "deg"),
-          "bodyflap_deg": ("bodyFlapDeflection", "deg")}  # fmt: skip
+INPUTS = {
+    "mach": ("mach", "nd"),
+    "alpha_deg": ("angleOfAttack", "deg"),
+    "elevon_deg": ("elevonDeflection", "deg"),
+    "bodyflap_deg": ("bodyFlapDeflection", "deg"),
+}
 """Variable -> its name in S-119 and its unit."""
 SURFACES = {"elevon": "elevon_deg", "bodyflap": "bodyflap_deg"}
 

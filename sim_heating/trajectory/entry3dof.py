@@ -59,10 +59,16 @@ def initial_numbers(initial: Initial) -> FloatArray:
 
     Source: docs/theory/equations.md, equations 35 and 36.
     """
-    return np.array([
-        initial.altitude_m, initial.velocity_m_s, initial.gamma_deg, initial.heading_deg, initial.latitude_deg,
-        initial.longitude_deg,
-    ])  # fmt: skip
+    return np.array(
+        [
+            initial.altitude_m,
+            initial.velocity_m_s,
+            initial.gamma_deg,
+            initial.heading_deg,
+            initial.latitude_deg,
+            initial.longitude_deg,
+        ]
+    )
 
 
 def first_state(initial: Initial, flight: FloatArray, block: FloatArray, manoeuvres: int) -> FloatArray:

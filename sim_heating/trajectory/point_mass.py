@@ -183,9 +183,16 @@ class Forces(NamedTuple):
 
 @njit
 def forces_kernel(
-    x: float, y: float, z: float, vx: float, vy: float, vz: float,
-    controls: Controls, flight: FloatArray, aero: FloatArray,
-) -> Forces:  # fmt: skip
+    x: float,
+    y: float,
+    z: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    controls: Controls,
+    flight: FloatArray,
+    aero: FloatArray,
+) -> Forces:
     """Forces on the vehicle at an Earth-fixed position [m] and velocity [m/s].
 
     controls : angles [deg];  flight : block of `entry3dof.flight_block`;  aero : of `trimmed_aero.aero_block`
@@ -388,9 +395,14 @@ def runge_kutta_step(
 
 @njit
 def advance_kernel(
-    state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
+    state: FloatArray,
+    flight: FloatArray,
+    block: FloatArray,
+    script: FloatArray,
+    aero: FloatArray,
+    dt_s: float,
     work: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """One step of dt_s [s] with the commands of guidance and manoeuvres; work as observe_kernel left it.
 
     Source: docs/theory/equations.md, equation 35.
@@ -400,9 +412,16 @@ def advance_kernel(
 
 @njit
 def step_kernel(
-    state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
-    work: FloatArray, row: FloatArray, kept: bool,
-) -> bool:  # fmt: skip
+    state: FloatArray,
+    flight: FloatArray,
+    block: FloatArray,
+    script: FloatArray,
+    aero: FloatArray,
+    dt_s: float,
+    work: FloatArray,
+    row: FloatArray,
+    kept: bool,
+) -> bool:
     """One step of one flight; row is the frame at its beginning. False, and no step, where the flight ends there.
 
     state : (STARTED + manoeuvres,) as made by `first_state_kernel`, advanced by dt_s [s]
@@ -425,9 +444,15 @@ def step_kernel(
 
 @njit
 def run_kernel(
-    state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
-    work: FloatArray, rows: FloatArray,
-) -> tuple[int, bool]:  # fmt: skip
+    state: FloatArray,
+    flight: FloatArray,
+    block: FloatArray,
+    script: FloatArray,
+    aero: FloatArray,
+    dt_s: float,
+    work: FloatArray,
+    rows: FloatArray,
+) -> tuple[int, bool]:
     """Steps of dt_s [s] until the flight ends or rows (frames, len(ROW)) are full; the number of rows, and whether it
     ended.
 

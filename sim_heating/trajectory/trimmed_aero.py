@@ -73,9 +73,15 @@ def table_cell(aero: FloatArray, mach: float, alpha_deg: float) -> TableCell:
     corner = int(aero[AT_CELLS]) + (i * alphas + j) * width
     right, up = (width if alphas > 1 else 0), (alphas * width if machs > 1 else 0)
     return TableCell(
-        corner, corner + right, corner + up, corner + up + right,
-        (1.0 - u) * (1.0 - v), (1.0 - u) * v, u * (1.0 - v), u * v,
-    )  # fmt: skip
+        corner,
+        corner + right,
+        corner + up,
+        corner + up + right,
+        (1.0 - u) * (1.0 - v),
+        (1.0 - u) * v,
+        u * (1.0 - v),
+        u * v,
+    )
 
 
 @njit

@@ -119,9 +119,14 @@ def wide_interval_terms(alpha: float, beta: float):
     fourth = 3.0 * (1.0 + square) + alpha * alpha * alpha * p - b * b * b * q
     second = 1.0 + square
     return (
-        math.log(z), mean, second - mean * mean, mean * mean - square, square, third - mean * second,
+        math.log(z),
+        mean,
+        second - mean * mean,
+        mean * mean - square,
+        square,
+        third - mean * second,
         fourth - second * second,
-    )  # fmt: skip
+    )
 
 
 @njit

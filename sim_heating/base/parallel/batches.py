@@ -345,9 +345,15 @@ def _local_processes(workers: int | None, files: str) -> Any:
     # An address without a host would listen on all interfaces, and none at all would take the fixed port 8787.
     try:
         return LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0",
-            scheduler_kwargs={"dashboard": False}, silence_logs=logging.CRITICAL, memory_limit=0,
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host=LOOPBACK,
+            dashboard_address=f"{LOOPBACK}:0",
+            scheduler_kwargs={"dashboard": False},
+            silence_logs=logging.CRITICAL,
+            memory_limit=0,
             local_directory=files,
-        )  # fmt: skip
+        )
     except (RuntimeError, OSError) as error:
         raise _not_started(error.__cause__ or error) from None

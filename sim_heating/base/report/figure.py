@@ -52,8 +52,12 @@ MANOEUVRE_NAMES = {
 MEASURED: dict[str, Any] = {"color": "0.35", "marker": "o", "markersize": 2.2, "linestyle": "none"}
 SURFACE: dict[str, Any] = {"color": "tab:red", "label": "surface, predicted"}
 THERMOCOUPLE: dict[str, Any] = {
-    "color": "0.15", "marker": "o", "markersize": 3.0, "linewidth": 0.8, "label": "outermost thermocouple, predicted",
-}  # fmt: skip
+    "color": "0.15",
+    "marker": "o",
+    "markersize": 3.0,
+    "linewidth": 0.8,
+    "label": "outermost thermocouple, predicted",
+}
 TITLE_LINES = 4
 _collected: dict[Path, bytes] | None = None
 """Files that are drawn and not to be written yet."""

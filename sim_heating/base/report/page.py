@@ -181,10 +181,16 @@ def page_html(page: Page, draws: Sequence[Callable[[], object]] = ()) -> str:
     names = [*(SHARED_SCRIPTS if names else ()), *names]
     scripts = [_asset(name) for name in names]
     return _template().render(
-        page=page, program=f"sim-heating {package_version()}", scripts=scripts, policy=" ".join(map(_digest, scripts)),
-        look=_asset(LOOK), style=_asset(CHART_STYLE) if charts else "", has_charts=bool(charts),
-        drawn=partial(_drawn, urls=urls, intervals=intervals_of(charts)), url_of=lambda picture: urls[id(picture)],
-    )  # fmt: skip
+        page=page,
+        program=f"sim-heating {package_version()}",
+        scripts=scripts,
+        policy=" ".join(map(_digest, scripts)),
+        look=_asset(LOOK),
+        style=_asset(CHART_STYLE) if charts else "",
+        has_charts=bool(charts),
+        drawn=partial(_drawn, urls=urls, intervals=intervals_of(charts)),
+        url_of=lambda picture: urls[id(picture)],
+    )
 
 
 def _url_of(picture: Picture | SavedPicture) -> str:
@@ -241,9 +247,13 @@ def write_page(path: Path, make: Callable[[], Page], draws: Sequence[Callable[[]
 def _template() -> jinja2.Template:
     loader = jinja2.FileSystemLoader(Path(__file__).parent)
     environment = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        loader=loader,
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
         finalize=lambda value: printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value,
-    )  # fmt: skip
+    )
     environment.filters["prose"] = partial(_with_code, shown=escape)
     environment.filters["breakable"] = partial(_with_code, shown=_breakable)
     return environment.get_template(TEMPLATE)

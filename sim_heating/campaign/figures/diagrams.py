@@ -131,9 +131,16 @@ def _draw_arrow(a: Axes, start: Box, end: Box, label: str, bend: float) -> None:
     if label:
         x, y = 0.5 * (first[0] + last[0]), 0.5 * (first[1] + last[1]) + _lift(first, last, bend)
         a.text(
-            x, y, label, ha="center", va="center", fontsize=8, color="0.15", zorder=4,
+            x,
+            y,
+            label,
+            ha="center",
+            va="center",
+            fontsize=8,
+            color="0.15",
+            zorder=4,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.9},
-        )  # fmt: skip
+        )
 
 
 def _lift(first: tuple[float, float], last: tuple[float, float], bend: float) -> float:

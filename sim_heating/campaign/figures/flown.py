@@ -274,9 +274,13 @@ class FlownData:
 
         def fit_segments() -> Trend:
             return trend(
-                record, LENGTH_S, ("ratio.d0",), start=start_at("profile", begin),
-                fixed={"ratio.d_alpha": d_alpha}, reference=about,
-            )  # fmt: skip
+                record,
+                LENGTH_S,
+                ("ratio.d0",),
+                start=start_at("profile", begin),
+                fixed={"ratio.d_alpha": d_alpha},
+                reference=about,
+            )
 
         return self._once(("segments", id(flown.record), flown.manoeuvre.start_s), fit_segments)
 

@@ -135,23 +135,28 @@ def _at_mach_12(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
     step = axial_step(flown.record, (flown.manoeuvre.start_s - AXIAL_BEFORE_S, flown.manoeuvre.end_s))
     return (
         Statement(
-            63, "telemetry of the Mach 12 manoeuvre begins in its pushover",
+            63,
+            "telemetry of the Mach 12 manoeuvre begins in its pushover",
             f"first reading {first - flown.manoeuvre.start_s:.0f} s after its start, at {angle:.1f} deg",
             bool(lost and next_angle < angle),
         ),
         Statement(
-            75, "above 44 deg the lower surface is hotter than laminar heating makes it",
-            f"up to {hotter:.0f} K hotter, noise {floor:.1f} K", hotter > LARGE * floor,
+            75,
+            "above 44 deg the lower surface is hotter than laminar heating makes it",
+            f"up to {hotter:.0f} K hotter, noise {floor:.1f} K",
+            hotter > LARGE * floor,
         ),
         Statement(
-            76, "the axial force rises in a step above 44 deg and falls back below it",
-            "no accelerometer" if step is None else f"{step.relative:+.1%} (sigma {step.sigma:.1%}) above "
-            f"{step.alpha_deg:.1f} deg",
+            76,
+            "the axial force rises in a step above 44 deg and falls back below it",
+            "no accelerometer"
+            if step is None
+            else f"{step.relative:+.1%} (sigma {step.sigma:.1%}) above {step.alpha_deg:.1f} deg",
             step is not None
             and step.relative > SIGMAS * step.sigma
             and abs(step.alpha_deg - TURNING_DEG) < NEAR_TURNING_DEG,
         ),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -266,9 +271,16 @@ def _plot_panel(axes: np.ndarray, data: FlownData, panel: Panel, suffix: str) ->
     if np.any(firing > 0.0):
         columns["jets"] = firing
         fires = middle.fill_between(
-            t, 0.0, 1.0, where=firing > 0.5, transform=middle.get_xaxis_transform(), color="tab:purple", alpha=0.18,
-            linewidth=0, label="pitch jets fire",
-        )  # fmt: skip
+            t,
+            0.0,
+            1.0,
+            where=firing > 0.5,
+            transform=middle.get_xaxis_transform(),
+            color="tab:purple",
+            alpha=0.18,
+            linewidth=0,
+            label="pitch jets fire",
+        )
         middle.legend(handles=[fires], fontsize=8, loc="upper right")
     for a in axes:
         a.axvspan(flown.manoeuvre.start_s, flown.manoeuvre.end_s, color="tab:orange", alpha=0.14, linewidth=0)

@@ -97,9 +97,13 @@ def control_points(data: FlownData) -> PaperFigure:
             if axis == 2 and not any(t == face.materials and abs(x - middle[0]) < LABEL_M for t, x in named):
                 named.append((face.materials, middle[0]))
                 a.annotate(
-                    face.materials, middle, xytext=(14, -6), textcoords="offset points",
-                    fontsize=7.5, color="0.3",
-                )  # fmt: skip
+                    face.materials,
+                    middle,
+                    xytext=(14, -6),
+                    textcoords="offset points",
+                    fontsize=7.5,
+                    color="0.3",
+                )
         for shield, color in zip(shields, COLORS, strict=False):
             of_shield = [p for p in points if p.declared.heat_shield == shield]
             x, y = (np.array([p.position_m[k] for p in of_shield]) for k in (0, axis))
@@ -160,9 +164,14 @@ def _name_points(a: Axes, points: Sequence[ControlPoint], axis: int) -> None:
         neighbours = [(abs(g[0] - x), g[1]) for g in groups if abs(g[0] - x) < LABEL_M and 0.0 < abs(g[1] - y) < far_y]
         up = min(neighbours)[1] < y if neighbours else k % 2 == 0
         a.annotate(
-            "\n".join(names), (x, y), xytext=(0, 8 if up else -8), textcoords="offset points", ha="center",
-            va="bottom" if up else "top", fontsize=7,
-        )  # fmt: skip
+            "\n".join(names),
+            (x, y),
+            xytext=(0, 8 if up else -8),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if up else "top",
+            fontsize=7,
+        )
 
 
 def wall_temperatures(data: FlownData) -> PaperFigure:
@@ -183,9 +192,14 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
     walls = _walls(vehicle, [vehicle.control_points[n] for n in names], flown)
     rows = 3 if faces[0].declared else 2
     drawn = new_figure(
-        4.0 * len(faces) + 0.6, 1.9 + 1.9 * rows, rows, len(faces), squeeze=False, sharex=True,
+        4.0 * len(faces) + 0.6,
+        1.9 + 1.9 * rows,
+        rows,
+        len(faces),
+        squeeze=False,
+        sharex=True,
         height_ratios=(2, 1, 1)[:rows],
-    )  # fmt: skip
+    )
     columns: dict[str, Any] = {"time_s": flown.time_s[shown], "speed_kft_s": mach[shown]}
     notes, statements = [], []
     for axes, face in zip(drawn[1].T, faces, strict=True):

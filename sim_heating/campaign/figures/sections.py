@@ -52,8 +52,15 @@ def _draw_section(a: Axes, name: str, record: Record, colors: Mapping[str, str])
         color = colors[layer.material]
         a.barh(-drawn[i], 1.0, -(drawn[i + 1] - drawn[i]), left=0.0, align="edge", color=color, edgecolor="0.3")
         text = f"{layer.material}  {layer.thickness_m * MM:.3g}"
-        a.text(0.5, -0.5 * (drawn[i] + drawn[i + 1]), text, ha="center", va="center", fontsize=8.5,
-               color="white" if color in DARK else "black")  # fmt: skip
+        a.text(
+            0.5,
+            -0.5 * (drawn[i] + drawn[i + 1]),
+            text,
+            ha="center",
+            va="center",
+            fontsize=8.5,
+            color="white" if color in DARK else "black",
+        )
     depths = [sensor.depth_m for sensor in record.sensors]
     at = np.interp(depths, faces, drawn)
     for sensor, y, label_y in zip(record.sensors, at, _apart(at), strict=True):
@@ -62,8 +69,15 @@ def _draw_section(a: Axes, name: str, record: Record, colors: Mapping[str, str])
         text = f"{sensor.name}\n{sensor.depth_m * MM:.3g}"
         a.text(1.16, -label_y, text, ha="left", va="center", fontsize=8, linespacing=1.1)
     back = record.declared.stack.back
-    a.text(0.5, -1.03, "back face adiabatic" if isinstance(back, str) else "back face exchanges heat",
-           ha="center", va="top", fontsize=8, color="0.3")  # fmt: skip
+    a.text(
+        0.5,
+        -1.03,
+        "back face adiabatic" if isinstance(back, str) else "back face exchanges heat",
+        ha="center",
+        va="top",
+        fontsize=8,
+        color="0.3",
+    )
     a.set_xlim(-0.03, 1.9)
     a.set_ylim(-1.08, 0.03)
     a.set_title(name, fontsize=11)

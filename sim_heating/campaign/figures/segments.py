@@ -101,14 +101,18 @@ def _statements(fit: FitResult, ratio: FloatArray, sigma: FloatArray, trend_text
     )
     return (
         Statement(
-            78, "a Reynolds-number derivative cannot be estimated in the short manoeuvre", text,
+            78,
+            "a Reynolds-number derivative cannot be estimated in the short manoeuvre",
+            text,
             lacking or abs(derivative) < SIGMAS * bound,
         ),
         Statement(
-            79, "segments of five seconds with the derivative in angle of attack fixed show a trend with Re",
-            trend_text, abs(ratio[-1] - ratio[0]) > SIGMAS * float(np.hypot(sigma[0], sigma[-1])),
+            79,
+            "segments of five seconds with the derivative in angle of attack fixed show a trend with Re",
+            trend_text,
+            abs(ratio[-1] - ratio[0]) > SIGMAS * float(np.hypot(sigma[0], sigma[-1])),
         ),
-    )  # fmt: skip
+    )
 
 
 def _scales(
@@ -142,9 +146,16 @@ def _mean(conditions: Conditions, values: FloatArray, start_s: float, end_s: flo
 
 def _plot_segments(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray, name: str) -> None:
     a.errorbar(
-        x, ratio, SIGMAS * sigma, fmt="o-", color=COLORS[name], markersize=4, linewidth=0.9, capsize=2.0,
+        x,
+        ratio,
+        SIGMAS * sigma,
+        fmt="o-",
+        color=COLORS[name],
+        markersize=4,
+        linewidth=0.9,
+        capsize=2.0,
         label="segments, 2 sigma",
-    )  # fmt: skip
+    )
     a.set_xlabel("log10 of Reynolds number")
     a.set_ylabel(f"heating ratio over the {NAMES[name]}")
 

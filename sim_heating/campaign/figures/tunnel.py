@@ -67,19 +67,24 @@ def transient(data: FlownData) -> PaperFigure:
     coating = estimated(fits["coating"], COATING)
     statements = (
         Statement(
-            55, "a transient in the tunnel is reduced, and its coating thickness is hard to estimate",
-            f"{plus_minus(*coating)} times the true coating without a skew", abs(coating[0] - 1.0) > 2.0 * coating[1],
+            55,
+            "a transient in the tunnel is reduced, and its coating thickness is hard to estimate",
+            f"{plus_minus(*coating)} times the true coating without a skew",
+            abs(coating[0] - 1.0) > 2.0 * coating[1],
         ),
         Statement(
-            90, "a thermocouple behind an interface follows transients in the tunnel 3 s late",
-            f"skew {plus_minus(skew, sigma)} s", agrees(skew, sigma, PAPER_LAG_S, 0.0),
+            90,
+            "a thermocouple behind an interface follows transients in the tunnel 3 s late",
+            f"skew {plus_minus(skew, sigma)} s",
+            agrees(skew, sigma, PAPER_LAG_S, 0.0),
         ),
         Statement(
-            91, "a step up of wall temperature lowers the heating behind it, and explains the late response",
+            91,
+            "a step up of wall temperature lowers the heating behind it, and explains the late response",
             f"heating lower by {-lowered:.1%} at most; the interface alone looks like a skew of {plus_minus(*alone)} s",
             lowered < 0.0 and agrees(*alone, PAPER_LAG_S, 0.0),
         ),
-    )  # fmt: skip
+    )
     notes = [f"{name} estimated: {_text(fit)}; {fit_quality(fit)}" for name, fit in fits.items()]
     notes.append(f"interface as declared: {statements[2].here}")
     title = f"transient run in the wind tunnel, {record.declared.control_point}"

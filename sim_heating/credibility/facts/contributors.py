@@ -30,9 +30,13 @@ from sim_heating.march.mesh_choice import meshes_on_flights
 from sim_heating.march.point import PointModel
 
 WALL = (
-    "stack.emissivity_factor", "stack.coating.thickness_factor", "stack.coating.conductivity_factor",
-    "stack.coating.heat_capacity_factor", "stack.rsi.conductivity_factor", "stack.rsi.heat_capacity_factor",
-)  # fmt: skip
+    "stack.emissivity_factor",
+    "stack.coating.thickness_factor",
+    "stack.coating.conductivity_factor",
+    "stack.coating.heat_capacity_factor",
+    "stack.rsi.conductivity_factor",
+    "stack.rsi.heat_capacity_factor",
+)
 """Parameters of every wall that have a standard deviation."""
 SCALE = "ratio.scale"
 FEW_K = 1e-3

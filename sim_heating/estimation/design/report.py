@@ -35,8 +35,13 @@ from sim_heating.simulation.run import MANOEUVRE_VARIABLE
 from sim_heating.trajectory.flight import Window
 
 FILES = NAME, BOUNDS, DESIGN, SWEEPS, INSTRUMENTS, PAGE = (
-    "design.json", "bounds.csv", "design.png", "sweeps.png", "instruments.png", "report.html"
-)  # fmt: skip
+    "design.json",
+    "bounds.csv",
+    "design.png",
+    "sweeps.png",
+    "instruments.png",
+    "report.html",
+)
 SWEEP_POINTS = 7
 
 

@@ -426,9 +426,16 @@ class _InverseProblem:
         return constant + sum(_log_evidence(A[start, start], b[start], np.eye(self.extra), 0.0))
 
     def _result(
-        self, here: _MarchedInput, u: FloatArray, G: FloatArray, A: FloatArray, b: FloatArray, chosen: Disturbance,
-        factor: float, without: float,
-    ) -> UnknownInput:  # fmt: skip
+        self,
+        here: _MarchedInput,
+        u: FloatArray,
+        G: FloatArray,
+        A: FloatArray,
+        b: FloatArray,
+        chosen: Disturbance,
+        factor: float,
+        without: float,
+    ) -> UnknownInput:
         full = np.asarray(np.linalg.inv(A + self._prior(self.knots, chosen)[0]), dtype=np.float64)
         covariance = full[self.extra :, self.extra :]
         sigma = np.sqrt(np.diag(covariance))

@@ -290,11 +290,16 @@ class Innovations:
         if start is not None:
             columns[:, : start.columns.shape[1]] = start.columns
         track = FilterTrack(
-            record_fit.model, record_fit.mesh, samples, record_fit.march_names if sensitive else (),
+            record_fit.model,
+            record_fit.mesh,
+            samples,
+            record_fit.march_names if sensitive else (),
             record_fit.initial_K(vector),
-            columns if sensitive else None, None if start is None else start.covariance_K2, noise.node_K_sqrt_s**2,
+            columns if sensitive else None,
+            None if start is None else start.covariance_K2,
+            noise.node_K_sqrt_s**2,
             noise.disturbance,
-        )  # fmt: skip
+        )
         return track, order
 
     def _log_likelihoods_of(

@@ -79,9 +79,17 @@ from sim_heating.thermal.sensitivity import (
 from sim_heating.thermal.step import STAGE_WEIGHT, LaneGroup
 
 (
-    PRIOR, PRIOR_VARIANCE, POSTERIOR, POSTERIOR_VARIANCE, PREDICTED, PREDICTED_VARIANCE, INNOVATION, VARIANCE,
-    LOG_LIKELIHOOD, N_OUT,
-) = range(10)  # fmt: skip
+    PRIOR,
+    PRIOR_VARIANCE,
+    POSTERIOR,
+    POSTERIOR_VARIANCE,
+    PREDICTED,
+    PREDICTED_VARIANCE,
+    INNOVATION,
+    VARIANCE,
+    LOG_LIKELIHOOD,
+    N_OUT,
+) = range(10)
 """Workspace of the output of a reading: temperature [K] and variance [K2] before and after all readings of its time;
 prediction and variance, noise included, once those before it are taken; innovation [K] and its variance [K2]; log
 likelihood. The sensitivities of its prediction follow."""
@@ -387,9 +395,16 @@ def innovation(lower: float, upper: float, mean: float, variance: float) -> tupl
 
 @njit
 def _condition_on(
-    step: LaneStep, q: int, begun: int, readings: Readings, state: State, batch: StepReadings, z: FloatArray,
-    transition: FloatArray, out: FloatArray,
-) -> None:  # fmt: skip
+    step: LaneStep,
+    q: int,
+    begun: int,
+    readings: Readings,
+    state: State,
+    batch: StepReadings,
+    z: FloatArray,
+    transition: FloatArray,
+    out: FloatArray,
+) -> None:
     """Condition z and the readings of the step from number `begun` on, on reading number q of it.
 
     What it takes from P and from the sensitivities of z stays in `batch`: cov(z, T), which later readings change no
@@ -487,9 +502,15 @@ def _condition_sensitivities(step: LaneStep, readings: Readings, state: State, b
 
 @njit
 def take_readings(
-    step: LaneStep, readings: Readings, state: State, batch: StepReadings, z: FloatArray, transition: FloatArray,
-    history: SmootherHistory, out: FloatArray,
-) -> None:  # fmt: skip
+    step: LaneStep,
+    readings: Readings,
+    state: State,
+    batch: StepReadings,
+    z: FloatArray,
+    transition: FloatArray,
+    history: SmootherHistory,
+    out: FloatArray,
+) -> None:
     """Update a lane by the readings of one step, in order of time.
 
         K = g cov(z', T) / S,    z+ = z' + K nu,    P+ = P' - S K K'
@@ -563,9 +584,16 @@ def _reuse_covariances(step: LaneStep, gains: FrozenGains, state: State, batch: 
 
 @njit
 def filter_lane(
-    B: FloatArray, X: Blocks, offsets: PerturbedOffsets, time_s: FloatArray, lane: int, k: int, first: int,
-    f: FilterArrays, out: FloatArray,
-) -> int:  # fmt: skip
+    B: FloatArray,
+    X: Blocks,
+    offsets: PerturbedOffsets,
+    time_s: FloatArray,
+    lane: int,
+    k: int,
+    first: int,
+    f: FilterArrays,
+    out: FloatArray,
+) -> int:
     """Filter step k of one lane: covariance, sensitivities, readings, after its temperatures have been marched.
 
     B, X, offsets : block of the lane group, blocks of the perturbed lanes, where those of each lane are
@@ -693,9 +721,15 @@ def begin_march(group: LaneGroup, flights: Flights) -> None:
 
 @njit
 def step_with_perturbed(
-    group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights, lanes: int,
-    k: int, first: bool,
-) -> None:  # fmt: skip
+    group: LaneGroup,
+    X: Blocks,
+    perturbed: PerturbedGroups,
+    offsets: PerturbedOffsets,
+    flights: Flights,
+    lanes: int,
+    k: int,
+    first: bool,
+) -> None:
     """March step k of a lane group from updated temperatures and ratios, and assemble its perturbed lanes.
 
     group              : the nominal lanes, whose block changes
@@ -727,9 +761,15 @@ def step_with_perturbed(
 
 @njit
 def filter_steps(
-    group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights, first: bool,
-    f: FilterArrays, out: FloatArray,
-) -> None:  # fmt: skip
+    group: LaneGroup,
+    X: Blocks,
+    perturbed: PerturbedGroups,
+    offsets: PerturbedOffsets,
+    flights: Flights,
+    first: bool,
+    f: FilterArrays,
+    out: FloatArray,
+) -> None:
     """Filter the lanes of one group through some steps of a flight, from the state that earlier ones have left.
 
     group                 : the nominal lanes, begun (`begin_march`) or marched up to the first of the times

@@ -91,9 +91,14 @@ def samples_on_grid(
     sigma = np.broadcast_to(np.asarray(sigma_K, dtype=float), sensors)
     flat = np.zeros(count * sensors)
     return Samples(
-        np.repeat(t, sensors), np.tile(np.asarray(nodes, dtype=np.int64), count), lower.T.ravel(), upper.T.ravel(),
-        np.tile(sigma**2, count), flat + 1.0, flat,
-    )  # fmt: skip
+        np.repeat(t, sensors),
+        np.tile(np.asarray(nodes, dtype=np.int64), count),
+        lower.T.ravel(),
+        upper.T.ravel(),
+        np.tile(sigma**2, count),
+        flat + 1.0,
+        flat,
+    )
 
 
 @dataclass(frozen=True)
@@ -157,9 +162,15 @@ class FilterTrack:
         """
         # ratio.d0 first: its column is Gamma, which every other column needs before it.
         return Track(
-            self.model, self.mesh, ("ratio.d0", *self.names), self.samples.time_s, (), self.initial_K,
-            self.initial_columns, self.flight,
-        )  # fmt: skip
+            self.model,
+            self.mesh,
+            ("ratio.d0", *self.names),
+            self.samples.time_s,
+            (),
+            self.initial_K,
+            self.initial_columns,
+            self.flight,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,10 +290,17 @@ class FilterMarch(LinearMarch):
         if keep and np.any(np.isfinite(after_s)):
             raise InputError("filter: a smoother needs the covariance of every step; leave freeze_after_s out")
         arrays = FilterArrays(
-            readings, state, self._noise(points, n), frozen_gains(after_s, most, n + 1), history,
-            workspace(n, 1 + m + (2 if keep else 1) * (n + 1)), step_readings(most, n + 1, m), np.zeros(n + 1),
-            np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1)),
-        )  # fmt: skip
+            readings,
+            state,
+            self._noise(points, n),
+            frozen_gains(after_s, most, n + 1),
+            history,
+            workspace(n, 1 + m + (2 if keep else 1) * (n + 1)),
+            step_readings(most, n + 1, m),
+            np.zeros(n + 1),
+            np.zeros((n + 1, n + 1)),
+            np.zeros((n + 1, n + 1)),
+        )
         out = np.full((len(points), readings.time_s.shape[1], N_OUT + m), np.nan)
         out[..., LOG_LIKELIHOOD] = 0.0
         self._begin([point.initial_K for point in points])
@@ -377,17 +395,29 @@ class FilterMarch(LinearMarch):
         kept = None
         if history.mean.shape[1]:
             kept = FilterHistory(
-                self.time_s, history.mean[lane, :, :size], history.covariance[lane, :, :size, :size],
-                history.transition[lane, :, :size, :size], history.rows[lane, : len(read), :size], step,
-            )  # fmt: skip
+                self.time_s,
+                history.mean[lane, :, :size],
+                history.covariance[lane, :, :size, :size],
+                history.transition[lane, :, :size, :size],
+                history.rows[lane, : len(read), :size],
+                step,
+            )
         return Filtered(
-            read[:, PRIOR], read[:, PRIOR_VARIANCE], read[:, POSTERIOR], read[:, POSTERIOR_VARIANCE],
-            read[:, PREDICTED], read[:, PREDICTED_VARIANCE],
-            read[:, INNOVATION], read[:, VARIANCE], read[:, LOG_LIKELIHOOD],
+            read[:, PRIOR],
+            read[:, PRIOR_VARIANCE],
+            read[:, POSTERIOR],
+            read[:, POSTERIOR_VARIANCE],
+            read[:, PREDICTED],
+            read[:, PREDICTED_VARIANCE],
+            read[:, INNOVATION],
+            read[:, VARIANCE],
+            read[:, LOG_LIKELIHOOD],
             read[:, N_OUT : N_OUT + point.parameters],
-            node_rows(self.nominal.memory.block(0))[: size - 1, T, lane].copy(), float(state.d[lane]),
-            state.P[lane, :size, :size], kept,
-        )  # fmt: skip
+            node_rows(self.nominal.memory.block(0))[: size - 1, T, lane].copy(),
+            float(state.d[lane]),
+            state.P[lane, :size, :size],
+            kept,
+        )
 
 
 def _check(point: FilterTrack, time_s: FloatArray) -> None:

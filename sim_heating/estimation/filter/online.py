@@ -114,9 +114,16 @@ def readings_of_filter(readings: PointReadings, rows: IntArray, first: int, para
     """
     point, time_s, node, lower, upper, variance, gain, bias, direct = readings
     return PointReadings(
-        point[rows] - first, time_s[rows], node[rows], lower[rows], upper[rows], variance[rows], gain[rows],
-        bias[rows], direct[rows, :parameters],
-    )  # fmt: skip
+        point[rows] - first,
+        time_s[rows],
+        node[rows],
+        lower[rows],
+        upper[rows],
+        variance[rows],
+        gain[rows],
+        bias[rows],
+        direct[rows, :parameters],
+    )
 
 
 class Innovations(NamedTuple):
@@ -352,9 +359,17 @@ class OnlineFilter(FilterMarch):
         out = np.full((lanes, rows, N_OUT + self._size[1]), np.nan)
         innovations = np.full((lanes, rows, 4), np.nan)
         run_online(
-            self._group, self._X, self._groups, self._columns, self._flights_of(times, histories), not self._stepped,
-            arrays, out, self._information, innovations,
-        )  # fmt: skip
+            self._group,
+            self._X,
+            self._groups,
+            self._columns,
+            self._flights_of(times, histories),
+            not self._stepped,
+            arrays,
+            out,
+            self._information,
+            innovations,
+        )
         self._stepped, self.now_s = True, float(times[-1])
         return Innovations(*innovations[lane_of, rank].T)
 
@@ -403,9 +418,16 @@ class OnlineFilter(FilterMarch):
             np.full((lanes, 3), np.nan),
         )
         read_estimates(
-            self._group.B, self._X.end, self._columns, state, self._information, self._heated_at, self._declared,
-            self._stepped, outlook,
-        )  # fmt: skip
+            self._group.B,
+            self._X.end,
+            self._columns,
+            state,
+            self._information,
+            self._heated_at,
+            self._declared,
+            self._stepped,
+            outlook,
+        )
         error_K = np.zeros((lanes, n)) if self._mesh_error is None else self._mesh_error.of_nodes()
         return [self._estimate(i, outlook, error_K[i]) for i in range(lanes)]
 
@@ -501,10 +523,17 @@ class OnlineFilter(FilterMarch):
             n, m = self._size
             nothing = self._readings([replace(p, samples=_no_samples()) for p in self.points], m)
             self._arrays_of[most] = FilterArrays(
-                nothing, self._state_now, self._process, frozen_gains(np.full(len(self.points), np.inf), most, n + 1),
-                self._history(self.points, n, False), workspace(n, 2 + m + n), step_readings(most, n + 1, m),
-                np.zeros(n + 1), np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1)),
-            )  # fmt: skip
+                nothing,
+                self._state_now,
+                self._process,
+                frozen_gains(np.full(len(self.points), np.inf), most, n + 1),
+                self._history(self.points, n, False),
+                workspace(n, 2 + m + n),
+                step_readings(most, n + 1, m),
+                np.zeros(n + 1),
+                np.zeros((n + 1, n + 1)),
+                np.zeros((n + 1, n + 1)),
+            )
         return self._arrays_of[most]._replace(state=self._state_now)
 
     def _write_model(self, i: int) -> None:
@@ -537,8 +566,13 @@ def _by_lane(readings: PointReadings, lane_of: IntArray, rank: IntArray, count: 
     numbers, node = np.full((6, lanes * rows), np.nan), np.zeros((lanes, rows), dtype=np.int64)
     direct, at = np.zeros((lanes, rows, m, 3)), lane_of * rows + rank
     numbers[:, at] = (
-        readings.time_s, readings.gain, readings.bias_K, readings.variance_K2, readings.lower_K, readings.upper_K,
-    )  # fmt: skip
+        readings.time_s,
+        readings.gain,
+        readings.bias_K,
+        readings.variance_K2,
+        readings.lower_K,
+        readings.upper_K,
+    )
     node.ravel()[at] = readings.node
     if np.any(readings.direct):
         direct.reshape(-1, m, 3)[at, : readings.direct.shape[1]] = readings.direct
@@ -644,9 +678,17 @@ def _sum_information(information: Information, lane: int, count: int, out: Float
 
 @njit
 def run_online(
-    group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights, first: bool,
-    f: FilterArrays, out: FloatArray, information: Information, innovations: FloatArray,
-) -> None:  # fmt: skip
+    group: LaneGroup,
+    X: Blocks,
+    perturbed: PerturbedGroups,
+    offsets: PerturbedOffsets,
+    flights: Flights,
+    first: bool,
+    f: FilterArrays,
+    out: FloatArray,
+    information: Information,
+    innovations: FloatArray,
+) -> None:
     """Filter the lanes of one group through some steps, and sum what their readings say of the parameters.
 
     group         : the nominal lanes;  X, perturbed, offsets : blocks of the perturbed lanes, their groups, and where
@@ -666,9 +708,15 @@ def run_online(
 
 @njit
 def shift_linearisation(
-    B: FloatArray, state: State, information: Information, lane: int, nodes: int, moved: float, lower: FloatArray,
+    B: FloatArray,
+    state: State,
+    information: Information,
+    lane: int,
+    nodes: int,
+    moved: float,
+    lower: FloatArray,
     upper: FloatArray,
-) -> bool:  # fmt: skip
+) -> bool:
     """Move the point of linearisation of a lane to its estimate, where that has moved; whether it has.
 
     B, state, information : block and arrays of all lanes, changed
@@ -723,9 +771,16 @@ def shift_linearisation(
 
 @njit
 def read_estimates(
-    B: FloatArray, X: FloatArray, offsets: PerturbedOffsets, state: State, information: Information,
-    heated_at: HeatedAt, declared: FloatArray, stepped: bool, outlook: Outlook,
-) -> None:  # fmt: skip
+    B: FloatArray,
+    X: FloatArray,
+    offsets: PerturbedOffsets,
+    state: State,
+    information: Information,
+    heated_at: HeatedAt,
+    declared: FloatArray,
+    stepped: bool,
+    outlook: Outlook,
+) -> None:
     """State [K] and parameters of all lanes from what the readings say of both; `outlook` is filled.
 
     B, X    : block of the lanes, and blocks of the perturbed lanes at the end of the last step
@@ -771,9 +826,17 @@ def read_estimates(
 
 @njit
 def _read_ratio(
-    B: FloatArray, X: FloatArray, offsets: PerturbedOffsets, state: State, information: Information,
-    heated_at: HeatedAt, declared: FloatArray, lane: int, x: FloatArray, ratio: FloatArray,
-) -> None:  # fmt: skip
+    B: FloatArray,
+    X: FloatArray,
+    offsets: PerturbedOffsets,
+    state: State,
+    information: Information,
+    heated_at: HeatedAt,
+    declared: FloatArray,
+    lane: int,
+    x: FloatArray,
+    ratio: FloatArray,
+) -> None:
     """Heating ratio of a lane at the end of the last step given the parameters, its variance, and the declared ratio.
 
     x : (m,) receives the derivative of the ratio against the parameters

@@ -61,10 +61,15 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
 
 
 def filter_samples(
-    channels: Sequence[FittedChannel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
-    values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0, names: Sequence[str] = (),
+    channels: Sequence[FittedChannel],
+    time_s: FloatArray,
+    mesh: Mesh,
+    sigma_K: Mapping[int, float],
+    values: Mapping[str, float] | None = None,
+    added_K: FloatArray | float = 0.0,
+    names: Sequence[str] = (),
     lag: Sensed | None = None,
-) -> tuple[Samples, NDArray[np.int64]]:  # fmt: skip
+) -> tuple[Samples, NDArray[np.int64]]:
     """Channels as the filter reads them: linear readings of a node, in the order of time.
 
     A calibration is its tangent at each reading, so that reading = gain * T_node + constant.
@@ -102,9 +107,15 @@ def filter_samples(
     # stable: readings of one time stay in the order of the channels, and results are reproducible
     order = np.argsort(t, kind="stable")
     samples = Samples(
-        t[order], node[order].astype(np.int64), low[order], high[order], variance[order], gain[order], constant[order],
+        t[order],
+        node[order].astype(np.int64),
+        low[order],
+        high[order],
+        variance[order],
+        gain[order],
+        constant[order],
         np.concatenate(direct)[order] if names else None,
-    )  # fmt: skip
+    )
     return samples, order
 
 

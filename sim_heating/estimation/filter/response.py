@@ -145,9 +145,16 @@ class ResponseMarch(FilterMarch):
 
 @njit
 def march_response(
-    group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights,
-    readings: Readings, added: FloatArray, w: Workspace, output: MarchOutput,
-) -> None:  # fmt: skip
+    group: LaneGroup,
+    X: Blocks,
+    perturbed: PerturbedGroups,
+    offsets: PerturbedOffsets,
+    flights: Flights,
+    readings: Readings,
+    added: FloatArray,
+    w: Workspace,
+    output: MarchOutput,
+) -> None:
     """March one lane group with histories added to the heating ratios; the contents of blocks B and X are lost.
 
     group                 : the nominal lanes

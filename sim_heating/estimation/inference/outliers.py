@@ -90,11 +90,15 @@ def without_outliers(record: Record) -> tuple[Record, list[Outlier]]:
         rows = record.rows if len(record.rows) == len(read) else None
         outliers += [
             Outlier(
-                record.name, sensor.name, float(record.time_s[i]), float(read[i]), float(expected_K[i]),
+                record.name,
+                sensor.name,
+                float(record.time_s[i]),
+                float(read[i]),
+                float(expected_K[i]),
                 None if rows is None else int(rows[i]),
             )
             for i in np.flatnonzero(away)
-        ]  # fmt: skip
+        ]
     return (replace(record, thermocouples={**record.thermocouples, **columns}), outliers) if outliers else (record, [])
 
 

@@ -43,10 +43,14 @@ def estimate_page(
     titles = dict.fromkeys(r.declared.title or r.declared.control_point for r in records)
     subtitle = f"Record{'s' if len(records) > 1 else ''} {', '.join(r.name for r in records)}, {estimate.vehicle or ''}"
     sections = [
-        _parameters_section(fitted, estimate, parameters), *_profiles_section(profiles), _errors_section(estimate),
-        _comparison_section(fitted, fit_pictures), _residuals_section(estimate), *_pictures_section(pictures),
+        _parameters_section(fitted, estimate, parameters),
+        *_profiles_section(profiles),
+        _errors_section(estimate),
+        _comparison_section(fitted, fit_pictures),
+        _residuals_section(estimate),
+        *_pictures_section(pictures),
         credibility_section(fitted.credibility.as_json()),
-    ]  # fmt: skip
+    ]
     return Page(
         "; ".join(titles),
         subtitle.rstrip(", "),
@@ -130,16 +134,24 @@ def _residuals_section(estimate: Estimate) -> Section:
     sensors = (estimate.model_extra or {}).get("statistics", {}).get("sensors", {})
     rows = [
         [
-            name, s["n"], s["noise_sigma_K"], s["normalised_mean"], s["normalised_rms"],
+            name,
+            s["n"],
+            s["noise_sigma_K"],
+            s["normalised_mean"],
+            s["normalised_rms"],
             *(None if s[test] is None else s[test]["p_value"] for test in ("whiteness", "normality")),
         ]
         for name, s in sensors.items()
-    ]  # fmt: skip
+    ]
     columns = [
-        Column("sensor"), Column("samples", format=".0f"), Column("assumed noise", format=".2f", unit="K"),
-        Column("mean", format="+.2f"), Column("RMS", format=".2f"), Column("whiteness, p", format=".2g"),
+        Column("sensor"),
+        Column("samples", format=".0f"),
+        Column("assumed noise", format=".2f", unit="K"),
+        Column("mean", format="+.2f"),
+        Column("RMS", format=".2f"),
+        Column("whiteness, p", format=".2g"),
         Column("normality, p", format=".2g"),
-    ]  # fmt: skip
+    ]
     caption = "Residuals over their noise: for the true model the mean is 0, the RMS 1, and p-values are not small."
     return Section("Residuals", tables=[Table(caption, columns, rows, sortable=len(rows) > SORTABLE)])
 
@@ -178,9 +190,13 @@ def trend_page(trend: Trend, picture: Path) -> Page:
     )
     rows = [[f"{s.start_s:g} to {s.end_s:g} s", s.samples, s.ratio, s.sigma, s.declared, s.misfit] for s in segments]
     columns = [
-        Column("segment"), Column("samples"), Column("ratio", format=".5g"), Column("sigma", format=".2g"),
-        Column("declared", format=".5g"), Column("misfit", format=".2f"),
-    ]  # fmt: skip
+        Column("segment"),
+        Column("samples"),
+        Column("ratio", format=".5g"),
+        Column("sigma", format=".2g"),
+        Column("declared", format=".5g"),
+        Column("misfit", format=".2f"),
+    ]
     sections = [
         Section("Heating ratio", charts=[chart]),
         Section(

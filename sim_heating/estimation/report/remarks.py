@@ -69,9 +69,13 @@ def remarks(fitted: FitResult) -> list[Remark]:
     and 4 noise floors: rules of this program.
     """
     return [
-        *_impossible_values(fitted), *_on_bounds(fitted), *_far_from_priors(fitted), *_correlations(fitted),
-        *_misfits_as_noise(fitted), *_ends_of_ranges(fitted),
-    ]  # fmt: skip
+        *_impossible_values(fitted),
+        *_on_bounds(fitted),
+        *_far_from_priors(fitted),
+        *_correlations(fitted),
+        *_misfits_as_noise(fitted),
+        *_ends_of_ranges(fitted),
+    ]
 
 
 def floor_in_words(estimate: Estimate) -> str:

@@ -224,10 +224,14 @@ def sensor_residual_tests(fitted: FitResult) -> list[SensorResiduals]:
     return [
         sensor_residuals(
             f"{s.record_fit.record.name}/{s.channel.sensor.name}" if is_joint else s.channel.sensor.name,
-            s.time_s, s.channel.intervals, s.mean_K, s.spread_K, rng,
+            s.time_s,
+            s.channel.intervals,
+            s.mean_K,
+            s.spread_K,
+            rng,
         )
         for s in fitted.samples()
-    ]  # fmt: skip
+    ]
 
 
 def residual_statistics(fitted: FitResult) -> dict[str, Any]:

@@ -149,9 +149,14 @@ def values_along(use: EffectUse, rows: FloatArray, wall_K: FloatArray) -> FloatA
 
 @njit
 def _fill_values(
-    dispatcher: Any, code: int, rows: FloatArray, block: FloatArray, wall_K: FloatArray, sets: FloatArray,
+    dispatcher: Any,
+    code: int,
+    rows: FloatArray,
+    block: FloatArray,
+    wall_K: FloatArray,
+    sets: FloatArray,
     values: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """Values [-] of the effect of a code: block has room for one of the rows, and for parameters behind it."""
     conditions = rows.shape[1]
     for s in range(len(sets)):

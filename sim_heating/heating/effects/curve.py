@@ -34,9 +34,14 @@ VARIABLES = ("alpha_deg", "log10_re", "elevon_deg", "bodyflap_deg", "beta_deg", 
 UNITS = ("deg", "1", "deg", "deg", "deg", "K", "s")
 """Unit of each variable."""
 LABELS = (
-    "angle of attack", "log10 of the Reynolds number", "elevon deflection", "body-flap deflection", "sideslip angle",
-    "wall temperature", "time",
-)  # fmt: skip
+    "angle of attack",
+    "log10 of the Reynolds number",
+    "elevon deflection",
+    "body-flap deflection",
+    "sideslip angle",
+    "wall temperature",
+    "time",
+)
 """Each variable in words."""
 ALPHA, LOG10_RE, ELEVON, BODYFLAP, BETA, WALL, TIME = range(len(VARIABLES))
 HOT = 0.1

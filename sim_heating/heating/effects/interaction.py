@@ -22,12 +22,16 @@ EFFECT = Effect(
     mode="model",
     parameters=tuple(
         model_parameter(
-            f"d_{first}_{second}", f"ratio.d_{first}_{second}", f"product term of {first} and {second}",
-            sigma=1e-3, lower=-10.0, upper=10.0,
+            f"d_{first}_{second}",
+            f"ratio.d_{first}_{second}",
+            f"product term of {first} and {second}",
+            sigma=1e-3,
+            lower=-10.0,
+            upper=10.0,
         )
         for first, second in PAIRS
     ),
     search_starts=search_starts,
     physics="The derivative against one variable changes with another: a flap heats more at higher angle of attack.",
     source="Eq. 2 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers'",
-)  # fmt: skip
+)

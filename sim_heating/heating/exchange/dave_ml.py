@@ -378,9 +378,14 @@ class _Reader:
         author = next(iter(_children(header, "author")), None)
         date = next(iter(_children(header, "creationDate")), None)
         return DaveModel(
-            header.get("name", ""), variables, functions, cases, _text(header, "description"),
-            {} if author is None else dict(author.attrib), "" if date is None else date.get("date", ""),
-        )  # fmt: skip
+            header.get("name", ""),
+            variables,
+            functions,
+            cases,
+            _text(header, "description"),
+            {} if author is None else dict(author.attrib),
+            "" if date is None else date.get("date", ""),
+        )
 
     def function(self, e: ET.Element) -> Function:
         name = e.get("name", "")

@@ -43,10 +43,14 @@ from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, table_
 
 RATIO, SIGMA = "ratio", "sigma"
 STANDARD_NAMES = {
-    "alpha_deg": "angleOfAttack", "beta_deg": "angleOfSideslip", "log10_re": "log10ReynoldsNumber",
-    "elevon_deg": "elevonDeflection", "bodyflap_deg": "bodyFlapDeflection", RATIO: "heatingRatio",
+    "alpha_deg": "angleOfAttack",
+    "beta_deg": "angleOfSideslip",
+    "log10_re": "log10ReynoldsNumber",
+    "elevon_deg": "elevonDeflection",
+    "bodyflap_deg": "bodyFlapDeflection",
+    RATIO: "heatingRatio",
     SIGMA: "heatingRatioSigma",
-}  # fmt: skip
+}
 """Column -> name of the variable in DAVE-ML: that of S-119 where the standard has one."""
 TOLERANCE = 1e-9
 """Of the check values that are written."""

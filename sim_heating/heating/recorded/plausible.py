@@ -185,8 +185,14 @@ def gas_problems(table: CsvTable) -> list[str]:
     outside = _mostly_outside(table, "p_inf_Pa", *_gas_ratio(table), GAS_RANGE)
     if outside is None:
         return []
-    units = {0.01: "hPa", 1e-3: "kPa", 1.0 / 47.88: "psf", 1.0 / 6894.8: "psi", 1.0 / 133.32: "torr",
-             1.0 / 101325.0: "atm"}  # fmt: skip
+    units = {
+        0.01: "hPa",
+        1e-3: "kPa",
+        1.0 / 47.88: "psf",
+        1.0 / 6894.8: "psi",
+        1.0 / 133.32: "torr",
+        1.0 / 101325.0: "atm",
+    }
     close = [unit for size, unit in units.items() if 0.8 < outside[1] / size < 1.25]
     hint = f"; it looks like {close[0]}, give Pa" if close else "; check units and order of p, rho and T"
     return [f"{outside[0]}: p is {outside[1]:.3g} of rho R T of air, as no gas has it{hint}"]
@@ -491,9 +497,17 @@ def swapped_problems(table: CsvTable) -> list[str]:
 
 
 RELATIONS: tuple[Callable[[CsvTable], list[str]], ...] = (
-    feet_problems, speed_problems, gas_problems, mach_problems, reynolds_problems, profile_problems, clock_problems,
-    swapped_problems, lift_problems, enthalpy_problems,
-)  # fmt: skip
+    feet_problems,
+    speed_problems,
+    gas_problems,
+    mach_problems,
+    reynolds_problems,
+    profile_problems,
+    clock_problems,
+    swapped_problems,
+    lift_problems,
+    enthalpy_problems,
+)
 """Relations between columns, each with the problems of a table whose columns are possible by themselves."""
 
 
@@ -508,9 +522,14 @@ FACTORS: dict[str, float] = {
 
 Twice that of scatter, winds, rounding and firing jets, which disturb the density that is derived from acceleration."""
 STEPS: dict[str, float] = {
-    "altitude_m": 1500.0, "alpha_deg": 15.0, "beta_deg": 12.0, "elevon_deg": 20.0, "bodyflap_deg": 20.0,
-    "log10_re": 0.4, "q_add_W_m2": 3e4,
-}  # fmt: skip
+    "altitude_m": 1500.0,
+    "alpha_deg": 15.0,
+    "beta_deg": 12.0,
+    "elevon_deg": 20.0,
+    "bodyflap_deg": 20.0,
+    "log10_re": 0.4,
+    "q_add_W_m2": 3e4,
+}
 """Column -> difference, in its unit, by which a sample that stands out is off those before and after it."""
 CHANGE = 2.0
 """How many times the change from the sample before to that after, or the scatter of the column, is no standing out."""

@@ -201,9 +201,14 @@ def reference_film_kernel(
 
 @njit
 def surface_angle(
-    code: int, alpha_deg: float, elevon_deg: float, bodyflap_deg: float, sweep_deg: float, numbers: FloatArray,
+    code: int,
+    alpha_deg: float,
+    elevon_deg: float,
+    bodyflap_deg: float,
+    sweep_deg: float,
+    numbers: FloatArray,
     first: int,
-) -> float:  # fmt: skip
+) -> float:
     """Angle [deg] at which the molecules of thin air meet the surface of a point, 0 to 90 or above.
 
     code, sweep_deg                     : number of the reference heating; sweep of its cylinder [deg]
@@ -262,9 +267,17 @@ def reference_kernel(
         return 0.0, H_0
     state = stagnation_kernel(rho_kg_m3, max(velocity_m_s, SLOWEST_M_S), T_inf_K)
     h_ref = reference_film_kernel(
-        code, rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg, nose_radius_m, running_length_m, wall_temperature_K, state,
+        code,
+        rho_kg_m3,
+        velocity_m_s,
+        T_inf_K,
+        alpha_deg,
+        nose_radius_m,
+        running_length_m,
+        wall_temperature_K,
+        state,
         sweep_deg,
-    )  # fmt: skip
+    )
     return h_ref, H_0
 
 
@@ -286,9 +299,17 @@ def _reference_loop(
 
 @njit
 def _bridge_loop(
-    code: int, rho: FloatArray, V: FloatArray, T_inf: FloatArray, turned: FloatArray, sweep_deg: float,
-    numbers: FloatArray, ratio: FloatArray, H_r: FloatArray, h_ref: FloatArray,
-) -> None:  # fmt: skip
+    code: int,
+    rho: FloatArray,
+    V: FloatArray,
+    T_inf: FloatArray,
+    turned: FloatArray,
+    sweep_deg: float,
+    numbers: FloatArray,
+    ratio: FloatArray,
+    H_r: FloatArray,
+    h_ref: FloatArray,
+) -> None:
     for i in range(len(V)):
         speed = max(V[i], SLOWEST_M_S)
         angle = surface_angle(code, turned[0, i], turned[1, i], turned[2, i], sweep_deg, numbers, 0)

@@ -159,9 +159,15 @@ def point_recovery_kernel(
 
 @njit
 def _point_recovery_loop(
-    total: FloatArray, V: FloatArray, alpha: FloatArray, elevon: FloatArray, bodyflap: FloatArray, numbers: FloatArray,
-    H_r: FloatArray, rise: FloatArray,
-) -> None:  # fmt: skip
+    total: FloatArray,
+    V: FloatArray,
+    alpha: FloatArray,
+    elevon: FloatArray,
+    bodyflap: FloatArray,
+    numbers: FloatArray,
+    H_r: FloatArray,
+    rise: FloatArray,
+) -> None:
     for i in range(len(total)):
         H_r[i], rise[i] = point_recovery_kernel(total[i], V[i], alpha[i], elevon[i], bodyflap[i], numbers, 0)
 

@@ -191,9 +191,14 @@ def smooth_share(x: float, low: float, high: float) -> float:
 
 @njit
 def velocity_gradient(
-    p_0: float, rho_0: float, p_inf: float, velocity_m_s: float, mach: float, radius_m: float,
+    p_0: float,
+    rho_0: float,
+    p_inf: float,
+    velocity_m_s: float,
+    mach: float,
+    radius_m: float,
     body: tuple[float, float, float, float, float],
-) -> float:  # fmt: skip
+) -> float:
     """Gradient du_e/dx [1/s] of the edge speed at a sphere's stagnation point or a cylinder's stagnation line.
 
         supersonic  du_e/dx = (1/R) sqrt(2 (p_0 - p_inf) / rho_0)       (Newtonian pressure)
@@ -247,9 +252,13 @@ def mach_of_table_gas(velocity_m_s: float, T_inf_K: float) -> float:
 
 @njit
 def fay_riddell_of_state(
-    state: tuple[float, float, float, float], velocity_m_s: float, T_inf_K: float, nose_radius_m: float, T_w_K: float,
+    state: tuple[float, float, float, float],
+    velocity_m_s: float,
+    T_inf_K: float,
+    nose_radius_m: float,
+    T_w_K: float,
     lewis: float,
-) -> float:  # fmt: skip
+) -> float:
     """Film coefficient of Fay and Riddell [kg/(m2 s)] on a sphere, from the result of `stagnation_kernel`.
 
     state : stagnation pressure [Pa], enthalpy [J/kg], density [kg/m3], free-stream pressure [Pa]

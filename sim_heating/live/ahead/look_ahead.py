@@ -224,10 +224,17 @@ class LookAhead:
         shown = np.unique(np.append(np.round(np.linspace(0, count - 1, min(SHOWN, count))).astype(int), peak))
         sigma = p.sigma_K[:, shown]
         return AheadState(
-            self.horizon_s, p.time_s[shown].tolist(), p.mean_K[0, shown].tolist(), sigma[0].tolist(),
-            p.mean_K[1, shown].tolist(), sigma[1].tolist(), float(p.mean_K[0, peak]), float(p.time_s[peak]),
-            float(margin) if limited else None, passing_probability(p, limits) if limited else None,
-        )  # fmt: skip
+            self.horizon_s,
+            p.time_s[shown].tolist(),
+            p.mean_K[0, shown].tolist(),
+            sigma[0].tolist(),
+            p.mean_K[1, shown].tolist(),
+            sigma[1].tolist(),
+            float(p.mean_K[0, peak]),
+            float(p.time_s[peak]),
+            float(margin) if limited else None,
+            passing_probability(p, limits) if limited else None,
+        )
 
     # Stopping a manoeuvre --------------------------------------------------------------------------------------------
 
@@ -350,11 +357,16 @@ class _Lanes:
         self._wanders = [_wanders(e) for e in now]
         tracks = [
             Track(
-                p.model, p.mesh, (*names, *([RATIO_ITSELF] * wanders)), np.zeros(0), (0, p.mesh.bondline),
-                flight=flight, initial_columns=np.zeros((p.mesh.nodes, 1)),
+                p.model,
+                p.mesh,
+                (*names, *([RATIO_ITSELF] * wanders)),
+                np.zeros(0),
+                (0, p.mesh.bondline),
+                flight=flight,
+                initial_columns=np.zeros((p.mesh.nodes, 1)),
             )
             for p, names, wanders, flight in zip(points, self._own, self._wanders, flights, strict=True)
-        ]  # fmt: skip
+        ]
         self._march = LinearMarch(tracks, np.array([0.0, 1.0]), np.zeros((len(tracks), 2, N_CONDITIONS)))
         self._tracks: list[Track] = tracks
         packed = {

@@ -117,9 +117,15 @@ class SensorTable:
         return PointReadings(point, t, node, lower, upper, variance, gain, bias, direct)
 
     def _add_terms(
-        self, q: int, n: int, t: float, filters: Sequence[OnlineFilter], gain: FloatArray, bias: FloatArray,
+        self,
+        q: int,
+        n: int,
+        t: float,
+        filters: Sequence[OnlineFilter],
+        gain: FloatArray,
+        bias: FloatArray,
         direct: FloatArray,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Add the sensor's own errors, where these are estimated, to a reading."""
         slope, since = gain[q], t - self._begun.setdefault(n, t)
         k, point = divmod(int(self.point[n]), LANES)

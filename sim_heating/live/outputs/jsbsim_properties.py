@@ -26,8 +26,14 @@ if TYPE_CHECKING:
     from sim_heating.live.spec import Link
 
 FIELDS = (
-    "surface_K", "surface_sigma_K", "bondline_K", "bondline_sigma_K", "ratio", "ratio_sigma", "margin_K",
-)  # fmt: skip
+    "surface_K",
+    "surface_sigma_K",
+    "bondline_K",
+    "bondline_sigma_K",
+    "ratio",
+    "ratio_sigma",
+    "margin_K",
+)
 """What is written of a control point, by its name in the state; what is not known keeps its last value in JSBSim."""
 TIME = "time_s"
 """Flight time of the estimates, beside the control points: it stands still where nothing is written."""

@@ -180,10 +180,18 @@ class PageServer:
         listener = listening_socket(self.host, self.port)
         self.port = listener.getsockname()[1]
         config = uvicorn.Config(
-            self._guarded(self._application()), log_config=None, log_level="critical", access_log=False, lifespan="off",
-            server_header=False, ws_max_size=LONGEST_WORD, ws_per_message_deflate=False, timeout_graceful_shutdown=1,
-            http=limited_protocol(most_connections(), HEADERS_S), backlog=BACKLOG,
-        )  # fmt: skip
+            self._guarded(self._application()),
+            log_config=None,
+            log_level="critical",
+            access_log=False,
+            lifespan="off",
+            server_header=False,
+            ws_max_size=LONGEST_WORD,
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=1,
+            http=limited_protocol(most_connections(), HEADERS_S),
+            backlog=BACKLOG,
+        )
 
         class Server(uvicorn.Server):
             @contextlib.contextmanager

@@ -281,9 +281,13 @@ def _check_sources(journal: str | os.PathLike[str], link: Link) -> None:
         declared = read_head(journal).link.get("source") or []
     except InputError:
         return
-    kinds = [["json-lines" if k == "replay" else k for k in sources] for sources in (
-        [source.get("kind") for source in declared], [source.kind for source in link.declared.source],
-    )]  # fmt: skip
+    kinds = [
+        ["json-lines" if k == "replay" else k for k in sources]
+        for sources in (
+            [source.get("kind") for source in declared],
+            [source.kind for source in link.declared.source],
+        )
+    ]
     if kinds[0] != kinds[1]:
         raise InputError(
             f"{display_path(link.path)}: its sources ({', '.join(kinds[1])}) are not those of "

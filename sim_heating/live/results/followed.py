@@ -13,9 +13,16 @@ EVERY_S = 2.0
 """Flight time between two estimates that are kept [s]."""
 READING = ("time_s", "read_K", "expected_K", "sigma_K")
 ESTIMATE = (
-    "time_s", "alpha_deg", "surface_K", "surface_sigma_K", "bondline_K", "bondline_sigma_K", "ratio", "ratio_sigma",
+    "time_s",
+    "alpha_deg",
+    "surface_K",
+    "surface_sigma_K",
+    "bondline_K",
+    "bondline_sigma_K",
+    "ratio",
+    "ratio_sigma",
     "ratio_declared",
-)  # fmt: skip
+)
 
 
 class Followed:
@@ -41,11 +48,19 @@ class Followed:
         self._last_s = time_s
         for name, estimate in estimates.items():
             rows = self._estimates.setdefault(name, Thinned(len(ESTIMATE)))
-            rows.add([
-                time_s, alpha_deg, estimate.surface_K, estimate.surface_sigma_K, estimate.bondline_K,
-                estimate.bondline_sigma_K,
-                estimate.state.ratio, estimate.state.ratio_sigma, estimate.state.ratio_declared,
-            ])  # fmt: skip
+            rows.add(
+                [
+                    time_s,
+                    alpha_deg,
+                    estimate.surface_K,
+                    estimate.surface_sigma_K,
+                    estimate.bondline_K,
+                    estimate.bondline_sigma_K,
+                    estimate.state.ratio,
+                    estimate.state.ratio_sigma,
+                    estimate.state.ratio_declared,
+                ]
+            )
 
     def readings(self, point: str) -> dict[str, dict[str, FloatArray]]:
         """(reading,) columns READING of each sensor of a control point that was read, by its name."""

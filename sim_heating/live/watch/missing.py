@@ -80,9 +80,13 @@ class Weighing:
         return self._running is not None and not self._running.done()
 
     def start(
-        self, journal: str | os.PathLike[str], point: str, left_out: Sequence[str] = (), *,
+        self,
+        journal: str | os.PathLike[str],
+        point: str,
+        left_out: Sequence[str] = (),
+        *,
         root: str | os.PathLike[str] | None = None,
-    ) -> bool:  # fmt: skip
+    ) -> bool:
         """Begin with the record so far of a control point; False while another one is being weighed.
 
         journal  : directory of the link, or its journal

@@ -264,10 +264,15 @@ def entry_sampler(spec: TrajectorySpec, vehicle_dir: Path, step_s: float, sample
     aero = load_aero(vehicle_dir)
     every = round(sample_s / step_s)
     return EntrySampler(
-        base, gd.resolve_guidance(base.guidance, vehicle_dir), aero,
-        aero_block(aero, low_speed_rows(vehicle_dir, aero.basic.mach[0])), mv.compile_script(base.manoeuvre),
-        step_s, every, int(np.ceil(spec.stop.time_s / (step_s * every))) + 1,
-    )  # fmt: skip
+        base,
+        gd.resolve_guidance(base.guidance, vehicle_dir),
+        aero,
+        aero_block(aero, low_speed_rows(vehicle_dir, aero.basic.mach[0])),
+        mv.compile_script(base.manoeuvre),
+        step_s,
+        every,
+        int(np.ceil(spec.stop.time_s / (step_s * every))) + 1,
+    )
 
 
 # Kernels -------------------------------------------------------------------------------------------------------------
@@ -337,9 +342,14 @@ def fly_kernel(
 
 @njit
 def condition_kernel(
-    rows: FloatArray, frame_counts: IntArray, host: FloatArray, points: PointConstants, soak: FloatArray,
-    time_s: FloatArray, histories: FloatArray,
-) -> None:  # fmt: skip
+    rows: FloatArray,
+    frame_counts: IntArray,
+    host: FloatArray,
+    points: PointConstants,
+    soak: FloatArray,
+    time_s: FloatArray,
+    histories: FloatArray,
+) -> None:
     """Conditions of all points along some flights, and behind the end of each flight those of its soak.
 
     rows, frame_counts : kept frames, as SampledFlights holds them

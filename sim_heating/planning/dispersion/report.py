@@ -130,9 +130,13 @@ def _tables(result: DispersionResult) -> list[Table]:
 def _peak_table(result: DispersionResult) -> Table:
     spec = result.entry.spec
     columns: tuple[Column | str, ...] = (
-        "control point", Column("mean", format=".0f"), Column("sigma", format=".1f"),
-        *(f"{q:g} quantile" for q in spec.quantiles), Column("limit", format=".0f"), "above it",
-    )  # fmt: skip
+        "control point",
+        Column("mean", format=".0f"),
+        Column("sigma", format=".1f"),
+        *(f"{q:g} quantile" for q in spec.quantiles),
+        Column("limit", format=".0f"),
+        "above it",
+    )
     rows = [
         (
             f"{a.point} {a.location}",
@@ -169,11 +173,15 @@ def _first_order_table(result: DispersionResult) -> Table:
     )
     rows = [
         (
-            f"{a.point} {a.location}", a.first["mean_K"], a.first["sigma_K"], a.sigma_K,
-            *(q["difference_K"] for q in a.first["quantiles"]), "yes" if a.first["holds"] else "no",
+            f"{a.point} {a.location}",
+            a.first["mean_K"],
+            a.first["sigma_K"],
+            a.sigma_K,
+            *(q["difference_K"] for q in a.first["quantiles"]),
+            "yes" if a.first["holds"] else "no",
         )
         for a in result.peaks
-    ]  # fmt: skip
+    ]
     title = "First order through the sensitivities along the mean flight [K]: quantiles less those counted"
     return Table(title, columns, rows)
 
@@ -220,8 +228,16 @@ def _name_points(ax: Axes, points: list[str], result: DispersionResult, quantity
     ax.set_ylim(len(points) - 0.4, -0.6)
     drawn = {a.point for a in result.peaks if a.quantity == quantity}
     for row in (i for i, name in enumerate(points) if name not in drawn):
-        ax.text(0.5, row, "one layer: no bondline", transform=ax.get_yaxis_transform(), fontsize=8, color="0.4",
-                ha="center", va="center")  # fmt: skip
+        ax.text(
+            0.5,
+            row,
+            "one layer: no bondline",
+            transform=ax.get_yaxis_transform(),
+            fontsize=8,
+            color="0.4",
+            ha="center",
+            va="center",
+        )
 
 
 def _quantile_label(result: DispersionResult) -> str:
@@ -289,9 +305,13 @@ def draw_drivers(path: Path, title: str, result: DispersionResult) -> None:
             if value >= 0.005:
                 ax.text(k, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color="w" if value > 0.55 else "k")
     ax.set_xticks(
-        range(len(peaks)), [f"{a.point} {a.location}" for a in peaks], rotation=45, ha="right",
-        rotation_mode="anchor", fontsize=8,
-    )  # fmt: skip
+        range(len(peaks)),
+        [f"{a.point} {a.location}" for a in peaks],
+        rotation=45,
+        ha="right",
+        rotation_mode="anchor",
+        fontsize=8,
+    )
     ax.set_yticks(range(len(groups)), groups, fontsize=8)
     figure.colorbar(image, ax=ax, label="total Sobol' index")
     save_figure(figure, path, f"What drives the peaks\n{title}", np.array([]))

@@ -231,9 +231,13 @@ def _changing(entry: DispersedEntry, point: int) -> list[tuple[int, str]]:
 
 
 def _track(
-    entry: DispersedEntry, p: int, changes: list[tuple[int, str]], mean: FloatArray,
-    marched: tuple[FloatArray, FloatArray], flight: int,
-) -> Track:  # fmt: skip
+    entry: DispersedEntry,
+    p: int,
+    changes: list[tuple[int, str]],
+    mean: FloatArray,
+    marched: tuple[FloatArray, FloatArray],
+    flight: int,
+) -> Track:
     """A point along the mean flight, read at its surface and bondline when they are hottest."""
     model, mesh = entry.lanes.models[p], entry.meshes[p]
     at_mean = model.with_parameters({name: model.value(name) + mean[k] for k, name in changes})
@@ -350,15 +354,28 @@ def evaluate(entry: DispersedEntry, flown: Mapping[str, Columns]) -> DispersionR
     # safe.
     unknown = above | outside | (columns["untrimmed_s"] > 0.0)
     return DispersionResult(
-        entry, columns, peaks, excursions, probability(~above, confidence), probability(~unknown, confidence),
-        probability(completed, confidence), order, checks,
-    )  # fmt: skip
+        entry,
+        columns,
+        peaks,
+        excursions,
+        probability(~above, confidence),
+        probability(~unknown, confidence),
+        probability(completed, confidence),
+        order,
+        checks,
+    )
 
 
 def _peak_statistics(
-    entry: DispersedEntry, columns: Columns, index: Columns, rows: Mapping[str, FloatArray], order: FirstOrder,
-    k: int, p: int, limit: float | None,
-) -> PeakStatistics:  # fmt: skip
+    entry: DispersedEntry,
+    columns: Columns,
+    index: Columns,
+    rows: Mapping[str, FloatArray],
+    order: FirstOrder,
+    k: int,
+    p: int,
+    limit: float | None,
+) -> PeakStatistics:
     spec, point, quantity = entry.spec, entry.points[p].point.name, QUANTITIES[k]
     x = columns[f"{quantity}.{point}"]
     finite = x[np.isfinite(x)]
@@ -377,10 +394,17 @@ def _peak_statistics(
         model = additive_model(rows["main"], x, order.slope[k, p])
         driven = indices(index[f"{quantity}.{point}"], groups, spec.confidence, spec.seed, z, model)
     return PeakStatistics(
-        point, quantity, float(np.mean(finite)), sigma, counted, limit, float(np.min(finite)),
+        point,
+        quantity,
+        float(np.mean(finite)),
+        sigma,
+        counted,
+        limit,
+        float(np.min(finite)),
         None if limit is None else probability(~(x <= limit), spec.confidence),
-        _compare_first_order(entry, order, k, p, counted, sigma), driven,
-    )  # fmt: skip
+        _compare_first_order(entry, order, k, p, counted, sigma),
+        driven,
+    )
 
 
 def _compare_first_order(
@@ -433,8 +457,12 @@ def data_of(result: DispersionResult) -> dict[str, Any]:
     names = [name for name, _ in entry.groups]
     untrimmed = result.columns["untrimmed_s"]
     return {
-        "flights": spec.flights, "sampling": spec.sampling, "scrambles": spec.scrambles, "seed": spec.seed,
-        "confidence": spec.confidence, "dimensions": entry.dimensions,
+        "flights": spec.flights,
+        "sampling": spec.sampling,
+        "scrambles": spec.scrambles,
+        "seed": spec.seed,
+        "confidence": spec.confidence,
+        "dimensions": entry.dimensions,
         "inputs": dict(zip(names, map(", ".join, entry.group_descriptions), strict=True)),
         "bounds": BOUNDS[spec.sampling],
         "steps": {"flight_s": spec.step_s, "thermal_s": spec.thermal_step_s},
@@ -450,24 +478,32 @@ def data_of(result: DispersionResult) -> dict[str, Any]:
         },
         "peaks": [_peak_data(a, names) for a in result.peaks],
         "six_degrees_of_freedom": _check_data(result),
-    }  # fmt: skip
+    }
 
 
 def _peak_data(peak: PeakStatistics, names: Sequence[str]) -> dict[str, Any]:
     data: dict[str, Any] = {
-        "control_point": peak.point, "quantity": f"peak {peak.location}",
-        "limit_K": peak.limit, "mean_K": peak.mean_K, "sigma_K": peak.sigma_K, "least_K": peak.least_K,
+        "control_point": peak.point,
+        "quantity": f"peak {peak.location}",
+        "limit_K": peak.limit,
+        "mean_K": peak.mean_K,
+        "sigma_K": peak.sigma_K,
+        "least_K": peak.least_K,
         "quantiles": [asdict(q) for q in peak.quantiles],
         "exceeded": None if peak.exceeded is None else asdict(peak.exceeded),
         "first_order": peak.first,
-    }  # fmt: skip
+    }
     if peak.indices is not None:
         i = peak.indices
         data["sobol_indices"] = {
-            name: {"first": float(i.first[g]), "first_bounds": i.first_bounds[g].tolist(), "total": float(i.total[g]),
-                   "total_bounds": i.total_bounds[g].tolist()}
+            name: {
+                "first": float(i.first[g]),
+                "first_bounds": i.first_bounds[g].tolist(),
+                "total": float(i.total[g]),
+                "total_bounds": i.total_bounds[g].tolist(),
+            }
             for g, name in enumerate(names)
-        }  # fmt: skip
+        }
     return data
 
 

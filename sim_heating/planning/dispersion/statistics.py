@@ -239,9 +239,13 @@ def additive_model(z: FloatArray, values: FloatArray, slope: FloatArray) -> Addi
 
 
 def indices(
-    values: FloatArray, groups: Sequence[Sequence[int]], confidence: float, seed: int, z: FloatArray,
+    values: FloatArray,
+    groups: Sequence[Sequence[int]],
+    confidence: float,
+    seed: int,
+    z: FloatArray,
     model: AdditiveModel,
-) -> Indices | None:  # fmt: skip
+) -> Indices | None:
     """Sobol' indices from the flights of `saltelli_rows`; None where the values are constant or too few are known.
 
     values : (groups + 2 blocks of `base` flights,); rows of the design with a NaN in any block are left out as a whole

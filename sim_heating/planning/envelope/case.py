@@ -80,12 +80,16 @@ class Case:
 
 
 OPEN_RANGES = {
-    "alpha_stretch": (0.0, np.inf), "alpha_station": (0.0, np.inf), "drag_factor": (0.0, np.inf),
-    "cg_fraction": (0.0, 1.0), "mass_kg": (0.0, QUANTITIES["mass_kg"].highest),
+    "alpha_stretch": (0.0, np.inf),
+    "alpha_station": (0.0, np.inf),
+    "drag_factor": (0.0, np.inf),
+    "cg_fraction": (0.0, 1.0),
+    "mass_kg": (0.0, QUANTITIES["mass_kg"].highest),
     "density_factor": (0.0, QUANTITIES["density_factor"].highest),
-    "alpha_offset_deg": (-90.0, 90.0), "station_alpha_deg": LIMITS["alpha_deg"][:2],
+    "alpha_offset_deg": (-90.0, 90.0),
+    "station_alpha_deg": LIMITS["alpha_deg"][:2],
     "bodyflap_deg": LIMITS["bodyflap_deg"][:2],
-}  # fmt: skip
+}
 """Range of each variable; its ends are not part of it."""
 AXES = tuple(f.name for f in fields(Case) if f.name != "one_sided")
 """Variables that an axis of a map or boundary may have."""

@@ -141,9 +141,13 @@ class StudyFlights:
         if new:
             jobs = [Job(name, asdict(case)) for name, case in new.items()]
             outcome = run_batches(
-                jobs, partial(_evaluate, self._worker), self._ledger,
-                scheduler=self.engine.scheduler, workers=self.engine.workers, progress=self.progress,
-            )  # fmt: skip
+                jobs,
+                partial(_evaluate, self._worker),
+                self._ledger,
+                scheduler=self.engine.scheduler,
+                workers=self.engine.workers,
+                progress=self.progress,
+            )
             for name, why in outcome.failed.items():
                 raise RunError(f"{new[name].describe()}: {why}")
             self._known |= {
@@ -274,9 +278,13 @@ def fly_boundary(declared: EnvelopeBoundary, envelope: Envelope, flights: StudyF
 
 
 def _fly_segment(
-    declared: EnvelopeBoundary, member: float | None, position: float, xs: Sequence[float], flights: StudyFlights,
+    declared: EnvelopeBoundary,
+    member: float | None,
+    position: float,
+    xs: Sequence[float],
+    flights: StudyFlights,
     sigmas: float,
-) -> BoundarySegment:  # fmt: skip
+) -> BoundarySegment:
     flown = flights.fly(declared.case(member, position, x) for x in xs)
     inside = declared.inside
     if inside is None:
@@ -287,9 +295,14 @@ def _fly_segment(
 
 
 def boundary_segment(
-    declared: EnvelopeBoundary, member: float | None, position: float, start: float, flown: Sequence[EvaluatedCase],
-    sigmas: float, manoeuvre: str | None = None,
-) -> BoundarySegment:  # fmt: skip
+    declared: EnvelopeBoundary,
+    member: float | None,
+    position: float,
+    start: float,
+    flown: Sequence[EvaluatedCase],
+    sigmas: float,
+    manoeuvre: str | None = None,
+) -> BoundarySegment:
     """The segment of a boundary from its flights; with the sigma that remains after a manoeuvre where one is named."""
     xs = [getattr(f.case, declared.across) for f in flown]
     scans = {which: scan_axis(xs, flown, z, manoeuvre) for which, z in sigma_offsets(sigmas).items()}

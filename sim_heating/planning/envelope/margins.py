@@ -36,11 +36,16 @@ ROUNDING = -1e-9
 TABLE_AXES = dict(
     zip(
         RATIO_VARIABLES,
-        (("angle of attack", "deg"), ("sideslip", "deg"), ("log10 Reynolds number", ""), ("elevon", "deg"),
-         ("body flap", "deg")),
+        (
+            ("angle of attack", "deg"),
+            ("sideslip", "deg"),
+            ("log10 Reynolds number", ""),
+            ("elevon", "deg"),
+            ("body flap", "deg"),
+        ),
         strict=True,
     )
-)  # fmt: skip
+)
 """Names and units of the variables of a ratio table."""
 SURFACE, BONDLINE, ELEVON, TABLE = "surface", "bondline", "elevon", "table"
 

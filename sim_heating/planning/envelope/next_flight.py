@@ -90,14 +90,18 @@ def _forecast_point(
     record, _ = planner.record(planned, planner.instruments)
     names, covariance = _bounds(planner, planned)
     estimate = Estimate(
-        format="estimate/1", records=[str(record.directory)], converged=True, iterations=0,
+        format="estimate/1",
+        records=[str(record.directory)],
+        converged=True,
+        iterations=0,
         reference_condition=ReferenceCondition(**dict(zip(RATIO_VARIABLES, reference_of_record(record), strict=True))),
         parameters={
             n: EstimatedParameter(value=0.0, sigma=float(s), unit=MODEL[n].unit)
             for n, s in zip(names, np.sqrt(np.diag(covariance)), strict=True)
         },
-        correlation=correlations(names, covariance), control_point=point,
-    )  # fmt: skip
+        correlation=correlations(names, covariance),
+        control_point=point,
+    )
     informed = flight_evidence(estimate, [record], study.vehicle, study.vehicle.control_point(point))
     bounds = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     return informed.evidence, bounds, exceeded

@@ -265,11 +265,16 @@ def _ranking_table(ranked: Sequence[RankedManoeuvre]) -> Table:
 
 
 def _ranking_data(ranked: Sequence[RankedManoeuvre]) -> dict[str, Any]:
-    return {"manoeuvres": [
-        {
-            "name": r.forecast.candidate.name, "sigma_reduction": r.sigma_reduction, "sigma_K": r.sigma_K,
-            "conservative_area": r.conservative_area,
-            "bounds": {p: dict(s) for p, s in r.forecast.sigma.items()}, "notes": list(r.forecast.notes),
-        }
-        for r in ranked
-    ]}  # fmt: skip
+    return {
+        "manoeuvres": [
+            {
+                "name": r.forecast.candidate.name,
+                "sigma_reduction": r.sigma_reduction,
+                "sigma_K": r.sigma_K,
+                "conservative_area": r.conservative_area,
+                "bounds": {p: dict(s) for p, s in r.forecast.sigma.items()},
+                "notes": list(r.forecast.notes),
+            }
+            for r in ranked
+        ]
+    }

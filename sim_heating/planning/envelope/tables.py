@@ -205,9 +205,10 @@ def flight_notes(flights: Sequence[EvaluatedCase]) -> tuple[str, ...]:
     """Notes on the flights: those that could not be flown, those without trim, and those that left a ratio table."""
     failed = [f"not flown: {f.error}" for f in flights if f.error is not None]
     no_trim = [f for f in flights if any(m.kind == ELEVON for _, m in f.other_violations)]
-    trim = [] if not no_trim else [
-        f"no trim within the elevon's travel: {len(no_trim)} flights, first {no_trim[0].case.describe()}; not allowed"
-    ]  # fmt: skip
+    trim = []
+    if no_trim:
+        first = no_trim[0].case.describe()
+        trim.append(f"no trim within the elevon's travel: {len(no_trim)} flights, first {first}; not allowed")
     by_end: dict[str, list[EvaluatedCase]] = {}
     for f in flights:
         for n, m in f.other_violations:

@@ -34,11 +34,21 @@ SUBSTEPS = 16
 """Runge-Kutta steps across an interval, for its error estimate."""
 ITERATIONS = 300
 IPOPT = {
-    "print_level": 0, "sb": "yes", "tol": 1e-8, "constr_viol_tol": 1e-9, "max_iter": ITERATIONS,
+    "print_level": 0,
+    "sb": "yes",
+    "tol": 1e-8,
+    "constr_viol_tol": 1e-9,
+    "max_iter": ITERATIONS,
     "mu_strategy": "adaptive",
-}  # fmt: skip
-WARM = {"warm_start_init_point": "yes", "mu_strategy": "monotone", "mu_init": 1e-5, "warm_start_bound_push": 1e-7,
-        "warm_start_mult_bound_push": 1e-7, "warm_start_slack_bound_push": 1e-7}  # fmt: skip
+}
+WARM = {
+    "warm_start_init_point": "yes",
+    "mu_strategy": "monotone",
+    "mu_init": 1e-5,
+    "warm_start_bound_push": 1e-7,
+    "warm_start_mult_bound_push": 1e-7,
+    "warm_start_slack_bound_push": 1e-7,
+}
 """Options of IPOPT, and those added where it starts from the previous solution."""
 ACCEPTED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 STATUS = {

@@ -71,8 +71,12 @@ def optimal_table(scenario: Scenario, names: Sequence[str]) -> StartingTable:
         "state": scenario.declared.trajectory.vehicle.model_dump(mode="json", exclude_defaults=True),
         "limit": limits,
     }
-    notes += [f"{name}, {key} = {limit[key]:.0f}: {why}" for limit in limits for name in [limit["control_point"]]
-              for key, why in above.get(name, {}).items()]  # fmt: skip
+    notes += [
+        f"{name}, {key} = {limit[key]:.0f}: {why}"
+        for limit in limits
+        for name in [limit["control_point"]]
+        for key, why in above.get(name, {}).items()
+    ]
     return StartingTable(values, above, tuple(notes))
 
 

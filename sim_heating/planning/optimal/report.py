@@ -55,9 +55,14 @@ def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress
         limits = {p.point: {"surface_K": p.surface_limit_K, "bondline_K": p.bondline_limit_K} for p in entry.peaks}
         charts.insert(0, temperature_chart(entry.histories, [], limits))
     return PartResult(
-        _data(entry), tables, (picture,), (head, *entry.notes), samples, ("optimal entry",),
+        _data(entry),
+        tables,
+        (picture,),
+        (head, *entry.notes),
+        samples,
+        ("optimal entry",),
         tuple(replace(chart, pictured=False) for chart in charts),
-    )  # fmt: skip
+    )
 
 
 OPTIMAL = StudyPart(optimal_part, lambda _: (PICTURE, CONDITIONS))

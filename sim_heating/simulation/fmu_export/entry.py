@@ -62,9 +62,13 @@ PITCHES = (
     ("open", "nothing holds the angle of attack"),
 )
 INITIAL = (
-    ("altitude_m", 0.0, 200e3), ("velocity_m_s", 1.0, 20e3), ("gamma_deg", -90.0, 90.0), ("heading_deg", -360.0, 360.0),
-    ("latitude_deg", -90.0, 90.0), ("longitude_deg", -360.0, 360.0),
-)  # fmt: skip
+    ("altitude_m", 0.0, 200e3),
+    ("velocity_m_s", 1.0, 20e3),
+    ("gamma_deg", -90.0, 90.0),
+    ("heading_deg", -360.0, 360.0),
+    ("latitude_deg", -90.0, 90.0),
+    ("longitude_deg", -360.0, 360.0),
+)
 """Initial state, relative to the air, in the order of the kernel, with its limits."""
 VEHICLE = (("vehicle.mass_kg", pm.MASS, 1.0, 1e7, "kg"), ("vehicle.area_m2", pm.AREA, 1e-3, 1e5, "m2"))
 GUIDANCE = (

@@ -140,8 +140,14 @@ class HeatingModel:
     effects: tuple[Effect, ...]
 
 
-def heating_image(vehicle: Vehicle, control_points: Sequence[str] | None = None, *, columns: bool = False,
-                  nodes: int | None = None, input_timing: str = "held") -> HeatingModel:  # fmt: skip
+def heating_image(
+    vehicle: Vehicle,
+    control_points: Sequence[str] | None = None,
+    *,
+    columns: bool = False,
+    nodes: int | None = None,
+    input_timing: str = "held",
+) -> HeatingModel:
     """The heating plug-in of a vehicle as an image.
 
     control_points : names; all by default
@@ -275,8 +281,15 @@ def _range(name: str) -> tuple[float, float]:
 class _HeatingPacker(ImagePacker):
     """Packs the arrays of a plug-in into an image."""
 
-    def __init__(self, image: Image, vehicle: Vehicle, plugin: HeatingPlugin, library: tuple[Effect, ...],
-                 columns: bool, timing: int):  # fmt: skip
+    def __init__(
+        self,
+        image: Image,
+        vehicle: Vehicle,
+        plugin: HeatingPlugin,
+        library: tuple[Effect, ...],
+        columns: bool,
+        timing: int,
+    ):
         super().__init__(image, k.N_MODEL)
         self.vehicle, self.plugin, self.known, self.columns, self.timing = vehicle, plugin, library, columns, timing
         self.ensemble: Ensemble = plugin.ensemble
@@ -288,17 +301,23 @@ class _HeatingPacker(ImagePacker):
         self._pack_inputs()
         self._pack_options()
         self.head |= {
-            k.N_POINTS: len(e.models), k.N_ROWS: len(e.lanes), k.N_GROUPS: len(e.groups), k.N_STATE: len(e.state),
-            k.N_TABLE: len(e.table), k.N_INTS: len(e.ints),
-            k.GROUPS: image.add_integers(e.groups), k.LANE_POINTS: image.add_integers(e.lanes),
+            k.N_POINTS: len(e.models),
+            k.N_ROWS: len(e.lanes),
+            k.N_GROUPS: len(e.groups),
+            k.N_STATE: len(e.state),
+            k.N_TABLE: len(e.table),
+            k.N_INTS: len(e.ints),
+            k.GROUPS: image.add_integers(e.groups),
+            k.LANE_POINTS: image.add_integers(e.lanes),
             k.INTS: image.add_integers(self._integers()),
-            k.STATE: image.add_numbers(e.state, aligned=True), k.TABLE: image.add_tables(e.table),
+            k.STATE: image.add_numbers(e.state, aligned=True),
+            k.TABLE: image.add_tables(e.table),
             k.VECTORS: image.add_numbers(np.zeros((len(e.lanes), k.N_CONDITIONS))),
             k.VECTORS_THEN: image.add_numbers(np.zeros((len(e.lanes), N_CONDITIONS))),
             k.FRAMES: image.add_numbers(np.zeros(len(FRAME))),
             k.STARTED_FROM: image.add_numbers(np.zeros(len(FRAME))),
             k.BETWEEN: image.add_numbers(np.zeros(1 + len(self.inputs))),
-        }  # fmt: skip
+        }
         self._name_reynolds_number()
         self._keep_blocks()
         self._pack_host()
@@ -441,9 +460,15 @@ class _HeatingPacker(ImagePacker):
             if output not in limits or limits[output] is not None:
                 compared = (f"{name}.{output.replace('_margin', '')}",) if output in limits else ()
                 self.add_number(
-                    f"{name}.{output}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, lower, nominal=nominal,
+                    f"{name}.{output}",
+                    Role.OUTPUT,
+                    numbers + k.P_OUT + i,
+                    text,
+                    unit,
+                    lower,
+                    nominal=nominal,
                     parameters=compared,
-                )  # fmt: skip
+                )
         for i, p in enumerate(RATIO):
             self._name_parameter(f"{name}.{p.name}", p, numbers + i)
         for i, p in enumerate(STACK):
@@ -510,9 +535,14 @@ class _HeatingPacker(ImagePacker):
             about = f"thermocouple at {1e3 * sensor.depth_m:.4g} mm"
             text = f"{about}, without noise and quantisation"
             self.add_number(
-                f"{name}.indicated_K", Role.OUTPUT, numbers + k.S_INDICATED, text, "K", nominal=1000.0,
+                f"{name}.indicated_K",
+                Role.OUTPUT,
+                numbers + k.S_INDICATED,
+                text,
+                "K",
+                nominal=1000.0,
                 parameters=(f"{name}.gain", f"{name}.bias"),
-            )  # fmt: skip
+            )
             self._name_parameter(f"{name}.gain", SENSOR["gain"], numbers + k.S_GAIN)
             self._name_parameter(f"{name}.bias", SENSOR["bias"], numbers + k.S_BIAS)
             lag = replace(SENSOR["tau_s"], upper=max(SENSOR["tau_s"].upper, sensor.tau_s))

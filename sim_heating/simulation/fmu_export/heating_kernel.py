@@ -209,9 +209,14 @@ def _derive_vectors(R, N, T, inputs, time: float) -> None:
             vectors[i, H_REF] = inputs[F_H_REF - 1]
             # The host's enthalpy is that of the flow; a point with an edge recovers less of it.
             vectors[i, RECOVERY_ENTHALPY], vectors[i, RECOVERY_RISE] = point_recovery_kernel(
-                inputs[F_H_R - 1], frame[F_VELOCITY], frame[F_ALPHA], frame[F_ELEVON], frame[F_BODYFLAP],
-                numbers[at(N, N[LANE_POINTS])[i]], RECOVERY_AT,
-            )  # fmt: skip
+                inputs[F_H_R - 1],
+                frame[F_VELOCITY],
+                frame[F_ALPHA],
+                frame[F_ELEVON],
+                frame[F_BODYFLAP],
+                numbers[at(N, N[LANE_POINTS])[i]],
+                RECOVERY_AT,
+            )
 
 
 @njit

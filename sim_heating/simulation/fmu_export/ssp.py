@@ -180,8 +180,15 @@ def _structure(system: System, title: str) -> bytes:
         _component(elements, name, image)
     connections = _add(top, "ssd", "Connections")
     for name in system.connections:
-        _add(connections, "ssd", "Connection", startElement=TRAJECTORY, startConnector=name, endElement=HEATING,
-             endConnector=name)  # fmt: skip
+        _add(
+            connections,
+            "ssd",
+            "Connection",
+            startElement=TRAJECTORY,
+            startConnector=name,
+            endElement=HEATING,
+            endConnector=name,
+        )
     _units(root, "ssd", [*_connectors(system.trajectory), *_connectors(system.heating)])
     experiment = _add(root, "ssd", "DefaultExperiment", startTime="0.0", stopTime=number_text(system.stop_s))
     _recommend_step(experiment, system.trajectory.step_s)
@@ -201,9 +208,15 @@ def _connectors(image: Image) -> list[Variable]:
 
 def _component(parent: ET.Element, name: str, image: Image) -> None:
     component = _add(
-        parent, "ssd", "Component", name=name, type="application/x-fmu-sharedlibrary", source=f"resources/{name}.fmu",
-        implementation="CoSimulation", description=image.title,
-    )  # fmt: skip
+        parent,
+        "ssd",
+        "Component",
+        name=name,
+        type="application/x-fmu-sharedlibrary",
+        source=f"resources/{name}.fmu",
+        implementation="CoSimulation",
+        description=image.title,
+    )
     connectors = _add(component, "ssd", "Connectors")
     for v in _connectors(image):
         connector = _add(connectors, "ssd", "Connector", name=v.name, kind=CONNECTED[v.role], description=v.text)

@@ -57,9 +57,13 @@ def srmd_bytes(name: str, classes: Mapping[str, Entries], data: str = "", conten
     """
     root = ET.Element(
         f"{{{SRMD}}}SimulationResourceMetaData",
-        {"version": VERSION, "name": name, "generationTool": f"sim-heating {package_version()}",
-         "generationDateAndTime": generation_time()},
-    )  # fmt: skip
+        {
+            "version": VERSION,
+            "name": name,
+            "generationTool": f"sim-heating {package_version()}",
+            "generationDateAndTime": generation_time(),
+        },
+    )
     if data:
         root.attrib |= {"data": data, "checksum": hashlib.sha3_256(content).hexdigest(), "checksumType": "SHA3-256"}
     for kind, entries in classes.items():
@@ -90,21 +94,26 @@ class Traceability:
         self.reference = "" if columns else _reference_text(plugin, frames, surface, bondline)
         self.classes: dict[str, Entries] = {
             "model": [
-                ("vehicle", vehicle.name, ""), ("revision", str(vehicle.revision), ""),
+                ("vehicle", vehicle.name, ""),
+                ("revision", str(vehicle.revision), ""),
                 ("control points", ", ".join(plugin.names), ""),
                 *((name, digest, "") for name, digest in statement.facts.files.items()),
             ],
             "credibility": [
                 ("statement", str(self.credibility["summary"]), "credibility.json"),
-                *((name, f"level {'not assessed' if f['level'] is None else f['level']}: {f['reason']}", "")
-                  for name, f in self.credibility["factors"].items()),
+                *(
+                    (name, f"level {'not assessed' if f['level'] is None else f['level']}: {f['reason']}", "")
+                    for name, f in self.credibility["factors"].items()
+                ),
             ],
             "validated-region": [(case.name, text, "") for case in all_cases() for text in _region_texts(case)],
-            "reference-results": [("none", "h_ref and H_r are inputs", "")] if columns else [
+            "reference-results": [("none", "h_ref and H_r are inputs", "")]
+            if columns
+            else [
                 ("descent", f"{DURATION_S} s, steps of 1 s, input_timing reached, HeatingPlugin", "reference.csv"),
                 ("tolerance_K", "0.5", ""),
             ],
-        }  # fmt: skip
+        }
 
     def files(self) -> dict[str, bytes]:
         """Content of the files inside the FMU, by name."""

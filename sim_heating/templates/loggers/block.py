@@ -65,9 +65,14 @@ def of_frame(path: Path, frame: pd.DataFrame, units: dict[str, str], about: str,
     cells = tuple([cell_text(v) for v in frame.iloc[:, k]] for k in range(frame.shape[1]))
     names = tuple(str(c) for c in frame.columns)
     return Block(
-        path, names, tuple(units.get(n, "") for n in names), cells,
-        tuple(range(first_line, first_line + len(frame))), decimal=".", about=about,
-    )  # fmt: skip
+        path,
+        names,
+        tuple(units.get(n, "") for n in names),
+        cells,
+        tuple(range(first_line, first_line + len(frame))),
+        decimal=".",
+        about=about,
+    )
 
 
 def cell_text(value: object) -> str:

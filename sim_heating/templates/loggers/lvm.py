@@ -85,11 +85,16 @@ def _segment(path: Path, head: Sequence[Row], below: Sequence[Row], header: dict
     channels = [k for k in range(1, width) if x_columns != "Multi" or names[k] != "X_Value"]
     begin = {k: _seconds(of_channel("Date", k), of_channel("Time", k), decimal) for k in channels}
     block = Block(
-        path, tuple(names[k] or f"column{k + 1}" for k in channels),
+        path,
+        tuple(names[k] or f"column{k + 1}" for k in channels),
         tuple(of_channel("Y_Unit_Label", k) for k in channels),
-        tuple(columns[k] for k in channels), tuple(i for i, _ in body), sign, decimal, names_line,
+        tuple(columns[k] for k in channels),
+        tuple(i for i, _ in body),
+        sign,
+        decimal,
+        names_line,
         f"LabVIEW LVM, cells separated by {SEPARATORS[sign]}",
-    )  # fmt: skip
+    )
     if of_channel("X_Dimension", 1) not in ("Time", ""):
         return block, None
     if x_columns == "One":

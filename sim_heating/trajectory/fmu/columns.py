@@ -58,8 +58,13 @@ SPEEDS = (set(AIR_PATH[:1]), set(MOTION[:3]))
 """Columns that determine the speed and therefore exclude Mach."""
 
 UNITS = (
-    ("_kg_m3", "kg/m3"), ("_m_s2", "m/s2"), ("_m_s", "m/s"), ("_deg", "deg"), ("_m", "m"), ("_g", "standard_gravity"),
-)  # fmt: skip
+    ("_kg_m3", "kg/m3"),
+    ("_m_s2", "m/s2"),
+    ("_m_s", "m/s"),
+    ("_deg", "deg"),
+    ("_m", "m"),
+    ("_g", "standard_gravity"),
+)
 """Ending of a column -> its unit; a plain number where none fits."""
 UNIT_AT_END = re.compile("(_(kg|m|m2|m3|s|s2|deg|rad|K|g))+$")
 """The unit at the end of any name."""

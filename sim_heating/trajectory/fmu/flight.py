@@ -62,9 +62,13 @@ class FmuFlight:
             # The stop time is rounded up to whole steps, since an FMU may refuse a step that crosses it.
             access = [self.model.access(self.model.variables[name]) for name in self.columns.outputs]
             answer = session.start(
-                self.model.process_description, self._start_by_mode(), self.inputs.access, access,
-                stop_s=math.ceil(spec.stop.time_s * spec.rate_hz - 1e-6) / spec.rate_hz, tolerance=spec.fmu.tolerance,
-            )  # fmt: skip
+                self.model.process_description,
+                self._start_by_mode(),
+                self.inputs.access,
+                access,
+                stop_s=math.ceil(spec.stop.time_s * spec.rate_hz - 1e-6) / spec.rate_hz,
+                tolerance=spec.fmu.tolerance,
+            )
             frame = self._frame(0.0, answer)
             first_speed, frames = frame["velocity_m_s"], 0
             self._store(frame, on_frame)

@@ -102,9 +102,13 @@ class FmuSession:
         # A session of its own, so that everything the FMU starts ends with it. -P: modules next to process.py must not
         # hide those of the same name elsewhere.
         self._process = subprocess.Popen(
-            [sys.executable, "-P", str(PROCESS), str(os.getpid())], cwd=self._folder / "run", stdin=subprocess.PIPE,
-            stdout=self._answer_end, stderr=self._log, start_new_session=True,
-        )  # fmt: skip
+            [sys.executable, "-P", str(PROCESS), str(os.getpid())],
+            cwd=self._folder / "run",
+            stdin=subprocess.PIPE,
+            stdout=self._answer_end,
+            stderr=self._log,
+            start_new_session=True,
+        )
         # Registered after the folder, so that the process has ended before its files are removed.
         undo.push(self._end)
         threading.Thread(target=self._watch, daemon=True).start()
@@ -134,9 +138,15 @@ class FmuSession:
                 self._process.kill()
 
     def start(
-        self, model: Mapping[str, Any], start: Mapping[str, Sequence[Access]], inputs: Sequence[Access],
-        outputs: Sequence[Access], *, stop_s: float, tolerance: float | None,
-    ) -> Answer:  # fmt: skip
+        self,
+        model: Mapping[str, Any],
+        start: Mapping[str, Sequence[Access]],
+        inputs: Sequence[Access],
+        outputs: Sequence[Access],
+        *,
+        stop_s: float,
+        tolerance: float | None,
+    ) -> Answer:
         """Instantiate and initialise, and give the outputs at time 0 [s].
 
         model           : FmuModel.process_description
@@ -146,9 +156,15 @@ class FmuSession:
         Source: FMI 2.0.4, section 2.1.6.
         """
         request = {
-            "folder": str(self._folder / "fmu"), "model": dict(model), "start": dict(start),
-            "inputs": list(inputs), "outputs": list(outputs), "start_s": 0.0, "stop_s": stop_s, "tolerance": tolerance,
-        }  # fmt: skip
+            "folder": str(self._folder / "fmu"),
+            "model": dict(model),
+            "start": dict(start),
+            "inputs": list(inputs),
+            "outputs": list(outputs),
+            "start_s": 0.0,
+            "stop_s": stop_s,
+            "tolerance": tolerance,
+        }
         return self._request(request, "while it was instantiated and initialised")
 
     def step(self, time_s: float, step_s: float, inputs: Sequence[float]) -> Answer:

@@ -21,9 +21,15 @@ from sim_heating.base.files.units import LETTERS, Scale, dimension_of, is_usable
 DEFINITION_TOLERANCE = 1e-4
 """Relative tolerance of an FMU's definition of a known unit: many are written with few digits."""
 BASE = {
-    "kg": "kilogram", "m": "meter", "s": "second", "A": "ampere", "K": "kelvin", "mol": "mole", "cd": "candela",
+    "kg": "kilogram",
+    "m": "meter",
+    "s": "second",
+    "A": "ampere",
+    "K": "kelvin",
+    "mol": "mole",
+    "cd": "candela",
     "rad": "radian",
-}  # fmt: skip
+}
 """FMI's base units and their names in pint."""
 
 

@@ -177,8 +177,13 @@ def jsbsim_system_text(
     reynolds = _of("quotient", _of("product", density, speed, reference_length_m), viscosity)
     log_re = _function(channel, f"{at}/log10-reynolds", _of("log10", _of("max", reynolds, 1e-3)))
 
-    variables = dict(zip(RATIO_VARIABLES, ("aero/alpha-deg", "aero/beta-deg", log_re, "heating/elevon-deg",
-                                           "heating/bodyflap-deg"), strict=True))  # fmt: skip
+    variables = dict(
+        zip(
+            RATIO_VARIABLES,
+            ("aero/alpha-deg", "aero/beta-deg", log_re, "heating/elevon-deg", "heating/bodyflap-deg"),
+            strict=True,
+        )
+    )
     ratio = _function(channel, f"{at}/ratio", nd_table(table.axes, table.ratio, list(variables.values())))
     film = _film_table(reference, nose_radius_m, rho, T_inf)
     h_ref = nd_table([SPEEDS_M_S, np.log10(rho)[::-1]], film[:, ::-1], [speed, log_rho])
@@ -216,8 +221,16 @@ def jsbsim_system_text(
 def _conditions(speed: FloatArray, rho: FloatArray, T_inf: FloatArray) -> Conditions:
     names = {"velocity_m_s": speed, "rho_kg_m3": rho, "T_inf_K": T_inf}
     zero = np.zeros(len(speed))
-    return Conditions({"time_s": np.arange(len(speed), dtype=float), "alpha_deg": zero, "beta_deg": zero,
-                       "elevon_deg": zero, "bodyflap_deg": zero, **names})  # fmt: skip
+    return Conditions(
+        {
+            "time_s": np.arange(len(speed), dtype=float),
+            "alpha_deg": zero,
+            "beta_deg": zero,
+            "elevon_deg": zero,
+            "bodyflap_deg": zero,
+            **names,
+        }
+    )
 
 
 def _film_table(reference: str, nose_radius_m: float, rho: FloatArray, T_inf: FloatArray) -> FloatArray:

@@ -99,9 +99,15 @@ class Commands:
     def __init__(self, host: JSBSimHost, aero: Aero, guidance: Guidance, state: VehicleState) -> None:
         self._host = host
         names = (
-            "alpha-cmd-deg", "beta-cmd-deg", "bank-cmd-deg", "bodyflap-cmd-deg", "elevon-direct", "elevon-direct-deg",
-            "pitch-open", "jet-firing",
-        )  # fmt: skip
+            "alpha-cmd-deg",
+            "beta-cmd-deg",
+            "bank-cmd-deg",
+            "bodyflap-cmd-deg",
+            "elevon-direct",
+            "elevon-direct-deg",
+            "pitch-open",
+            "jet-firing",
+        )
         self._set = {name: host.node(f"control/{name}").set_double_value for name in names}
         self._elevon_deg = host.getter("fcs/elevon-pos-deg")
         self._frozen_deg: float | None = None

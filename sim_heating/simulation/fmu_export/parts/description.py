@@ -70,12 +70,16 @@ def _root(image: Image, token: str, version: str, token_name: str) -> ET.Element
     return ET.Element(
         "fmiModelDescription",
         {
-            "fmiVersion": version, "modelName": image.name, token_name: token, "description": image.title,
-            "version": package_version(), "generationTool": f"sim-heating {package_version()}",
+            "fmiVersion": version,
+            "modelName": image.name,
+            token_name: token,
+            "description": image.title,
+            "version": package_version(),
+            "generationTool": f"sim-heating {package_version()}",
             "generationDateAndTime": generation_time(),
             "variableNamingConvention": "structured" if all(v.name.isascii() for v in image.variables) else "flat",
         },
-    )  # fmt: skip
+    )
 
 
 def _units(root: ET.Element, image: Image, fmi: int) -> None:
@@ -157,9 +161,14 @@ def xml_bytes(root: ET.Element) -> bytes:
 def _fmi3(image: Image, token: str) -> bytes:
     root = _root(image, token, "3.0", "instantiationToken")
     ET.SubElement(
-        root, "CoSimulation", modelIdentifier=image.name, canHandleVariableCommunicationStepSize="true",
-        canGetAndSetFMUState="true", canSerializeFMUState="true", providesIntermediateUpdate="true",
-    )  # fmt: skip
+        root,
+        "CoSimulation",
+        modelIdentifier=image.name,
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUState="true",
+        canSerializeFMUState="true",
+        providesIntermediateUpdate="true",
+    )
     _units(root, image, 3)
     types = ET.SubElement(root, "TypeDefinitions")
     for v in image.variables:
@@ -213,10 +222,15 @@ def _variable3(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
 def _fmi2(image: Image, token: str) -> bytes:
     root = _root(image, token, "2.0", "guid")
     ET.SubElement(
-        root, "CoSimulation", modelIdentifier=image.name, canHandleVariableCommunicationStepSize="true",
-        canInterpolateInputs="true", canGetAndSetFMUstate="true", canSerializeFMUstate="true",
+        root,
+        "CoSimulation",
+        modelIdentifier=image.name,
+        canHandleVariableCommunicationStepSize="true",
+        canInterpolateInputs="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
         canNotUseMemoryManagementFunctions="true",
-    )  # fmt: skip
+    )
     _units(root, image, 2)
     types = ET.SubElement(root, "TypeDefinitions")
     for v in image.variables:

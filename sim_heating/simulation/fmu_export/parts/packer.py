@@ -55,10 +55,18 @@ class ImagePacker:
         self.add_number("time", Role.INDEPENDENT, 0, "time", "s")
 
     def add_number(
-        self, name: str, role: Role, offset: int, text: str, unit: str = "1",
-        lower: float = -np.inf, upper: float = np.inf, nominal: float | None = None,
-        depends: tuple[str, ...] = (), parameters: tuple[str, ...] = (),
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        role: Role,
+        offset: int,
+        text: str,
+        unit: str = "1",
+        lower: float = -np.inf,
+        upper: float = np.inf,
+        nominal: float | None = None,
+        depends: tuple[str, ...] = (),
+        parameters: tuple[str, ...] = (),
+    ) -> None:
         """Add a variable for a number at an offset of R."""
         self.image.variables.append(
             Variable(
@@ -68,9 +76,16 @@ class ImagePacker:
         )  # fmt: skip
 
     def add_array(
-        self, name: str, role: Role, offset: int, text: str, unit: str, shape: tuple[int, ...],
-        lower: float = -np.inf, upper: float = np.inf,
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        role: Role,
+        offset: int,
+        text: str,
+        unit: str,
+        shape: tuple[int, ...],
+        lower: float = -np.inf,
+        upper: float = np.inf,
+    ) -> None:
         """Add a variable for an array at an offset of T, of the table whose path was added last."""
         self.image.variables.append(Variable(name, Kind.SHARED, role, offset, text, unit, lower, upper, shape=shape))
 

@@ -42,9 +42,13 @@ def _terminals(image: Image) -> bytes:
 
 def _terminal(parent: ET.Element, sampled: SampledMap) -> None:
     terminal = ET.SubElement(
-        parent, "Terminal", name=sampled.name, terminalKind=f"{NAME}.map.rectilinearGrid", matchingRule=f"{NAME}.map",
+        parent,
+        "Terminal",
+        name=sampled.name,
+        terminalKind=f"{NAME}.map.rectilinearGrid",
+        matchingRule=f"{NAME}.map",
         description=sampled.text,
-    )  # fmt: skip
+    )
 
     def add_member(variable: str, member: str, kind: str) -> None:
         full_kind = f"{NAME}.map.{kind}"
