@@ -80,6 +80,23 @@ def _same_side(point: ControlPoint, upstream: ControlPoint) -> bool:
     return upstream.x_over_L <= AT_NOSE or (point.position_m[2] > 0.0) == (upstream.position_m[2] > 0.0)
 
 
+def _positions(points: Sequence[ControlPoint], axis: int) -> list[FloatArray]:
+    """(point,) distance aft of the nose and coordinate along an axis of the vehicle [m]."""
+    return [np.array([p.position_m[k] for p in points]) for k in (0, axis)]
+
+
+def _draw_interfaces(a: Axes, points: Sequence[ControlPoint], axis: int) -> None:
+    """Draw the interfaces between points, seen from the side with their materials, those close together once."""
+    named: list[tuple[str, float]] = []
+    for face in interfaces(points):
+        ends = np.array([face.upstream.position_m, face.downstream.position_m])
+        a.plot(ends[:, 0], ends[:, axis], color="0.45", linewidth=1.0, linestyle=":", zorder=1)
+        middle = np.mean(ends[:, [0, 2]], axis=0)
+        if axis == 2 and not any(t == face.materials and abs(x - middle[0]) < LABEL_M for t, x in named):
+            named.append((face.materials, middle[0]))
+            a.annotate(face.materials, middle, xytext=(14, -6), textcoords="offset points", fontsize=7.5, color="0.3")
+
+
 def control_points(data: FlownData) -> PaperFigure:
     """Figure 15: the control points of the vehicle from the side and from above, by heat shield, and its interfaces."""
     vehicle = data.vehicle
@@ -87,33 +104,20 @@ def control_points(data: FlownData) -> PaperFigure:
     flown = {name for flight in data.flights for name in flight.records}
     peaks = _peaks(data, points)
     shields = list(dict.fromkeys(p.declared.heat_shield for p in sorted(points, key=lambda p: p.position_m[0])))
+    hot = [p for p in points if peaks[p.name] > p.limits.surface_K]
     drawn = new_figure(10.5, 9.0, 2, sharex=True)
     for a, axis, label in zip(drawn[1], (2, 1), ("z, m, up", "y, m, starboard"), strict=True):
-        named: list[tuple[str, float]] = []
-        for face in interfaces(points):
-            ends = np.array([face.upstream.position_m, face.downstream.position_m])
-            a.plot(ends[:, 0], ends[:, axis], color="0.45", linewidth=1.0, linestyle=":", zorder=1)
-            middle = np.mean(ends[:, [0, 2]], axis=0)
-            if axis == 2 and not any(t == face.materials and abs(x - middle[0]) < LABEL_M for t, x in named):
-                named.append((face.materials, middle[0]))
-                a.annotate(
-                    face.materials,
-                    middle,
-                    xytext=(14, -6),
-                    textcoords="offset points",
-                    fontsize=7.5,
-                    color="0.3",
-                )
+        _draw_interfaces(a, points, axis)
         for shield, color in zip(shields, COLORS, strict=False):
             of_shield = [p for p in points if p.declared.heat_shield == shield]
-            x, y = (np.array([p.position_m[k] for p in of_shield]) for k in (0, axis))
             filled = [color if p.name in flown else "white" for p in of_shield]
-            a.scatter(x, y, s=46, c=filled, edgecolors=color, linewidths=1.6, label=shield, zorder=3)
-        hot = [p for p in points if peaks[p.name] > p.limits.surface_K]
-        at = [np.array([p.position_m[k] for p in hot]) for k in (0, axis)]
+            a.scatter(
+                *_positions(of_shield, axis), s=46, c=filled, edgecolors=color, linewidths=1.6, label=shield, zorder=3
+            )
         a.scatter(
-            *at, s=150, facecolors="none", edgecolors="tab:red", linewidths=1.4, label="above its limit", zorder=2
-        )
+            *_positions(hot, axis), s=150, facecolors="none", edgecolors="tab:red", linewidths=1.4,
+            label="above its limit", zorder=2,
+        )  # fmt: skip
         _name_points(a, points, axis)
         a.set_ylabel(label)
         a.margins(0.06, 0.22)

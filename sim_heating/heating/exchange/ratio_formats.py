@@ -124,14 +124,11 @@ def _case(model: DaveModel, number: int, x: Mapping[str, float]) -> CheckCase:
     return CheckCase(f"case {number + 1}", tuple(Signal(n, value) for n, value in x.items()), results)
 
 
-def _read_dave_ml(path: Path) -> RatioTable:
-    """A ratio table from a model of which an output is the ratio, sampled at the nodes of its tables."""
-    model, where = read_dave_ml(path), display_path(path)
-    raise_problems([f"{where}: {p}" for p in model.check_problems()])
-    result = _variable_named(model, RATIO, model.outputs)
-    if result is None:
-        names = ", ".join(model.outputs) or "none"
-        raise InputError(f"{where}: no output named `{STANDARD_NAMES[RATIO]}` or `{RATIO}` (outputs: {names})")
+def _inputs_of_ratio(model: DaveModel, where: str) -> dict[str, str | None]:
+    """Variable of a heating ratio -> the input of a model that is it; None where the model has none.
+
+    raises : InputError where an input is no such variable, or in another unit
+    """
     inputs = {name: _variable_named(model, name, model.inputs) for name in RATIO_VARIABLES}
     unknown = [i for i in model.inputs if i not in inputs.values()]
     if unknown:
@@ -141,6 +138,18 @@ def _read_dave_ml(path: Path) -> RatioTable:
         units = "" if i is None else model.variables[i].attributes.get("units", "")
         if i is not None and units != _units(name):
             raise InputError(f"{where}: variableDef `{i}` is in `{units}`; `{_units(name)}` is read")
+    return inputs
+
+
+def _read_dave_ml(path: Path) -> RatioTable:
+    """A ratio table from a model of which an output is the ratio, sampled at the nodes of its tables."""
+    model, where = read_dave_ml(path), display_path(path)
+    raise_problems([f"{where}: {p}" for p in model.check_problems()])
+    result = _variable_named(model, RATIO, model.outputs)
+    if result is None:
+        names = ", ".join(model.outputs) or "none"
+        raise InputError(f"{where}: no output named `{STANDARD_NAMES[RATIO]}` or `{RATIO}` (outputs: {names})")
+    inputs = _inputs_of_ratio(model, where)
     axes = {name: model.nodes_of(i) for name, i in inputs.items()}
     if (count := int(np.prod([len(a) for a in axes.values()]))) > MOST_NODES:
         raise InputError(f"{where}: its tables have {count} nodes together; {MOST_NODES} are read")
@@ -167,6 +176,28 @@ def _write_dave_ml(path: Path, table: RatioTable) -> None:
     write_text_atomic(path, dave_ml_text(dave_ml_of(table)))
 
 
+def _absent_surfaces(data: Any, where: str) -> list[str]:
+    """Deflections of surfaces [deg] that a data set has no dimension of, and that are 0.
+
+    raises : InputError where another variable of a ratio is no dimension, another dimension is there, or one has no
+             nodes
+    """
+    dimensions = [str(d) for d in data[RATIO].dims]
+    lacking = [n for n in RATIO_VARIABLES if n not in dimensions]
+    required = [n for n in lacking if n not in SURFACES]
+    if required:
+        raise InputError(
+            f"{where}, variable {RATIO}: lacks the dimension `{required[0]}`; give one node where it is constant"
+        )
+    extra = [d for d in dimensions if d not in RATIO_VARIABLES]
+    if extra:
+        raise InputError(f"{where}, variable {RATIO}: dimension `{extra[0]}` is none of {', '.join(RATIO_VARIABLES)}")
+    no_nodes = [n for n in RATIO_VARIABLES if n in dimensions and n not in data.coords]
+    if no_nodes:
+        raise InputError(f"{where}: dimension `{no_nodes[0]}` has no coordinate; give its nodes")
+    return lacking
+
+
 def _read_netcdf(path: Path) -> RatioTable:
     """A ratio table from a variable `ratio` over coordinates named as the columns; `sigma` where it is there."""
     import xarray as xr
@@ -179,19 +210,7 @@ def _read_netcdf(path: Path) -> RatioTable:
         raise InputError(f"{where}: is no netCDF file that can be read ({' '.join(str(error).split())[:80]})") from None
     if RATIO not in data:
         raise InputError(f"{where}: no variable `{RATIO}` (it has: {', '.join(map(str, data.data_vars)) or 'none'})")
-    lacking = [n for n in RATIO_VARIABLES if n not in data[RATIO].dims]
-    for n in lacking:
-        if n not in SURFACES:
-            raise InputError(
-                f"{where}, variable {RATIO}: lacks the dimension `{n}`; give one node where it is constant"
-            )
-    extra = [str(d) for d in data[RATIO].dims if d not in RATIO_VARIABLES]
-    if extra:
-        raise InputError(f"{where}, variable {RATIO}: dimension `{extra[0]}` is none of {', '.join(RATIO_VARIABLES)}")
-    no_nodes = [n for n in RATIO_VARIABLES if n in data[RATIO].dims and n not in data.coords]
-    if no_nodes:
-        raise InputError(f"{where}: dimension `{no_nodes[0]}` has no coordinate; give its nodes")
-    data = data.expand_dims({n: [0.0] for n in lacking})
+    data = data.expand_dims({n: [0.0] for n in _absent_surfaces(data, where)})
     grid = np.meshgrid(*(np.asarray(data[n], dtype=float) for n in RATIO_VARIABLES), indexing="ij")
     columns = {n: g.ravel() for n, g in zip(RATIO_VARIABLES, grid, strict=True)}
     for n in (RATIO, SIGMA):

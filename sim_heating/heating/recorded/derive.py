@@ -144,6 +144,26 @@ def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air, requeste
         notes.append(f"rho_kg_m3 of {air.source}")
 
 
+def _add_air(c: dict[str, FloatArray], notes: list[str], air: _Air, absent: Collection[str]) -> None:
+    """Temperature [K] and pressure [Pa] by the gas law, where one of them is absent, or of the air of the day."""
+    if "T_inf_K" in absent:
+        low = np.all(c["altitude_m"] <= UPPER_BASE_M) and "p_inf_Pa" in c and np.all(c["p_inf_Pa"] > 0.0)
+        c["T_inf_K"] = c["p_inf_Pa"] / (c["rho_kg_m3"] * R_AIR) if low else air["T_inf_K"]
+        notes.append("T_inf_K from p_inf_Pa and rho_kg_m3" if low else f"T_inf_K of {air.source}")
+    if "p_inf_Pa" in absent:
+        c["p_inf_Pa"] = c["rho_kg_m3"] * R_AIR * c["T_inf_K"]
+        notes.append("p_inf_Pa from rho_kg_m3 and T_inf_K")
+
+
+def _add_similarity(c: dict[str, FloatArray], absent: Collection[str], length_m: float) -> None:
+    """Mach number [-] and log10 of the Reynolds number [-] on a length [m], where absent."""
+    if "mach" in absent:
+        c["mach"] = c["velocity_m_s"] / (c[SOUND] if SOUND in c else np.sqrt(GAMMA * R_AIR * c["T_inf_K"]))
+    if "log10_re" in absent:
+        re = c["rho_kg_m3"] * c["velocity_m_s"] * length_m / sutherland_viscosity(c["T_inf_K"])
+        c["log10_re"] = np.log10(np.maximum(re, SLOWEST_RE))
+
+
 def _add_free_stream(
     c: dict[str, FloatArray], notes: list[str], air: _Air, requested: Collection[str], length_m: float | None
 ) -> None:
@@ -152,25 +172,14 @@ def _add_free_stream(
     if not absent or not {"altitude_m", "velocity_m_s", "rho_kg_m3"} <= set(c):
         return
     length = METRE if length_m is None else length_m
-    of_air = [name for name in ("T_inf_K", "p_inf_Pa") if name in absent]
-    if len(of_air) == 2 and air.sounding is None:
+    if {"T_inf_K", "p_inf_Pa"} <= set(absent) and air.sounding is None:
         standard = free_stream(c["altitude_m"], c["velocity_m_s"], c["rho_kg_m3"], length)
         c |= {name: standard[name] for name in absent}
         air.of_model.add("T_inf_K")
         notes.append(f"T_inf_K of {STANDARD}, p_inf_Pa from it and rho_kg_m3")
     else:
-        if "T_inf_K" in absent:
-            low = np.all(c["altitude_m"] <= UPPER_BASE_M) and "p_inf_Pa" in c and np.all(c["p_inf_Pa"] > 0.0)
-            c["T_inf_K"] = c["p_inf_Pa"] / (c["rho_kg_m3"] * R_AIR) if low else air["T_inf_K"]
-            notes.append("T_inf_K from p_inf_Pa and rho_kg_m3" if low else f"T_inf_K of {air.source}")
-        if "p_inf_Pa" in absent:
-            c["p_inf_Pa"] = c["rho_kg_m3"] * R_AIR * c["T_inf_K"]
-            notes.append("p_inf_Pa from rho_kg_m3 and T_inf_K")
-        if "mach" in absent:
-            c["mach"] = c["velocity_m_s"] / (c[SOUND] if SOUND in c else np.sqrt(GAMMA * R_AIR * c["T_inf_K"]))
-        if "log10_re" in absent:
-            re = c["rho_kg_m3"] * c["velocity_m_s"] * length / sutherland_viscosity(c["T_inf_K"])
-            c["log10_re"] = np.log10(np.maximum(re, SLOWEST_RE))
+        _add_air(c, notes, air, absent)
+        _add_similarity(c, absent, length)
     if "mach" in absent:
         notes.append("mach from velocity_m_s and the speed of sound")
     if "log10_re" in absent:
