@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -223,34 +223,47 @@ def scenario_parameters(scenario: Scenario, *, effects: Sequence[str] = ()) -> l
 
 def _listed(model: PointModel, sensors: Sequence[Sensor]) -> list[ListedParameter]:
     """All parameters of a model and its sensors, without bounds from readings."""
+    of_record = RECORD_PARAMETERS | {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)}
+    return [
+        *_of_heating_and_wall(model),
+        *_of_effects(model),
+        *(_entry(p, p.value, "thermocouples and clock") for p in of_record.values()),
+        *_of_sensors(sensor for sensor in sensors if sensor.used),
+    ]
+
+
+def _of_heating_and_wall(model: PointModel) -> Iterator[ListedParameter]:
+    """Parameters of the ratio and the stack, each once, with its other names."""
     absent = MAGNITUDES[1] if model.ratio is not None else MAGNITUDES[0]
     names: dict[int, list[str]] = {}
     for name, entry in model.places.items():
         if entry >= 0:
             names.setdefault(entry, []).append(name)
     has_coating = insulation_layer(model.construction) > 0
-    entries = []
     for same in names.values():
         # the role of a tile's layer comes before its own name; a wall without a coating has no such roles
         name = same[0] if has_coating or len(same) == 1 or not same[0].startswith(INSULATION) else same[1]
         if name == absent or (name.startswith("stack.coating.") and not has_coating):
             continue
-        definition, others = model.definition(name), tuple(n for n in same if n != name)
-        entries.append(_entry(definition, model.value(name), _owner(name, model), others, name))
+        others = tuple(n for n in same if n != name)
+        yield _entry(model.definition(name), model.value(name), _owner(name, model), others, name)
+
+
+def _of_effects(model: PointModel) -> Iterator[ListedParameter]:
+    """Parameters of the effects of a point."""
     for used in model.effects:
         for parameter in used.effect.parameters:
             name = f"{EFFECT_PREFIX}{used.effect.name}.{parameter.name}"
-            definition = model.definition(name)
-            entries.append(_entry(definition, model.value(name), f"effect {used.effect.name}", name=name))
-    of_record = RECORD_PARAMETERS | {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)}
-    entries += [_entry(p, p.value, "thermocouples and clock") for p in of_record.values()]
+            yield _entry(model.definition(name), model.value(name), f"effect {used.effect.name}", name=name)
+
+
+def _of_sensors(sensors: Iterable[Sensor]) -> Iterator[ListedParameter]:
+    """Parameters of thermocouples, each at its declared value."""
     for sensor in sensors:
-        if sensor.used:
-            for kind, parameter in SENSOR.items():
-                nominal = sensor.tau_s if kind == "tau_s" else parameter.value
-                name = f"{SENSOR_PREFIX}{sensor.name}.{kind}"
-                entries.append(_entry(parameter, nominal, f"thermocouple {sensor.name}", name=name))
-    return entries
+        for kind, parameter in SENSOR.items():
+            nominal = sensor.tau_s if kind == "tau_s" else parameter.value
+            name = f"{SENSOR_PREFIX}{sensor.name}.{kind}"
+            yield _entry(parameter, nominal, f"thermocouple {sensor.name}", name=name)
 
 
 def _entry(
@@ -338,30 +351,28 @@ def _with_bounds(
     usable = [k for k, n in enumerate(names) if informed[k] and n not in impossible]
     fitted = [k for k in usable if names[k] in default_names([record]) and names[k] not in doubtful]
     with_all = _marginal_sigmas(information, [p.prior_sigma for p in listed], usable, fitted)
-    done = []
-    for k, p in enumerate(listed):
+
+    def bounded(k: int, p: ListedParameter) -> ListedParameter:
         if k not in usable:
             why = impossible.get(p.name, DECLARED_EXACTLY if p.prior_sigma == 0.0 else NO_EFFECT)
-            done.append(replace(p, identified=NO, reason=why))
-            continue
+            return replace(p, identified=NO, reason=why)
         chosen = list(dict.fromkeys([k, *fitted]))
         with_heating = float(np.sqrt(covariance(information[np.ix_(chosen, chosen)])[0, 0]))
         near = sorted((j for j in usable if j != k and abs(rho[k, j]) > CONFOUNDED), key=lambda j: -abs(rho[k, j]))
         identified = YES if with_all[k] < limits[k] else JOINTLY if with_heating < limits[k] else NO
         if identified != NO and p.name in doubtful:
             identified = WEAKLY
-        done.append(
-            replace(
-                p,
-                sigma_alone=float(alone[k]),
-                sigma_with_heating=with_heating,
-                sigma_with_all=float(with_all[k]),
-                identified=identified,
-                reason=doubtful.get(p.name, "") if identified != NO else _too_wide(p, with_heating / float(limits[k])),
-                confounded_with=tuple((names[j], float(rho[k, j])) for j in near),
-            )
+        return replace(
+            p,
+            sigma_alone=float(alone[k]),
+            sigma_with_heating=with_heating,
+            sigma_with_all=float(with_all[k]),
+            identified=identified,
+            reason=doubtful.get(p.name, "") if identified != NO else _too_wide(p, with_heating / float(limits[k])),
+            confounded_with=tuple((names[j], float(rho[k, j])) for j in near),
         )
-    return tuple(done)
+
+    return tuple(bounded(k, p) for k, p in enumerate(listed))
 
 
 def _marginal_sigmas(

@@ -185,14 +185,8 @@ def trend(
             lost = read_s[0] - last.last_s > longest_gap_s
             begin = float(read_s[0]) if lost else begin
             first, carried = _next_start(last, begin, unknown=lost or last.misfit > 1.0)
-        elif begun is not None:
-            _check_read_after(record, begun.time_s, float(read_s[0]), length_s)
-            first = begun
-        elif read_s[0] - record.conditions.time_s[0] > longest_gap_s:
-            begin = float(read_s[0])
-            first = partial(lost_start, time_s=begin)
         else:
-            first = None
+            begin, first = _first_start(record, begun, begin, float(read_s[0]), length_s, longest_gap_s)
         options = FitOptions(fixed=fixed, priors=priors, bounds=bounds, starts=[first], sample_masks=[mask])
         problem = FitProblem([record], fitted, about, options)
         # the parameters change little from one segment to the next, so that the search begins near its end
@@ -311,6 +305,22 @@ def _of_march(record_fit: RecordFit, covariance: FloatArray) -> FloatArray:
     """The part of a covariance that belongs to the unknowns of the march, those of its start included."""
     of_march = record_fit.index[: record_fit.march_columns]
     return covariance[np.ix_(of_march, of_march)]
+
+
+def _first_start(
+    record: Record, begun: Start | None, begin_s: float, read_s: float, length_s: float, longest_gap_s: float
+) -> tuple[float, Start | StartMaker | None]:
+    """Time at which the first segment begins [s], and where it starts: as stated, as declared, or heated unknown.
+
+    begun  : the start that is stated, if one is
+    read_s : time of the segment's first reading [s]
+    """
+    if begun is not None:
+        _check_read_after(record, begun.time_s, read_s, length_s)
+        return begin_s, begun
+    if read_s - record.conditions.time_s[0] > longest_gap_s:
+        return read_s, partial(lost_start, time_s=read_s)
+    return begin_s, None
 
 
 def _next_start(last: _Fitted, time_s: float, *, unknown: bool) -> tuple[Start, FloatArray]:

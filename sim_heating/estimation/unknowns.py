@@ -150,28 +150,18 @@ class StatedParameters:
         groups: dict[str, list[str]] = {label: [label] for label in by_label}
         for names in self.options.ties:
             covered = [label for label in self.owners.labels(names) if label in by_label]
-            if len(covered) < 2:
-                raise InputError(f"{'='.join(names)}: ties one parameter only; name another one to be equal to it")
             joined = list(dict.fromkeys(m for label in covered for m in groups[stands_for.get(label, label)]))
-            units = {by_label[m].parameter.unit for m in joined}
-            if len(units) > 1:
-                stated = ", ".join(f"{m} [{by_label[m].parameter.unit}]" for m in joined)
-                raise InputError(f"{'='.join(names)}: their units differ: {stated}; only like parameters may be tied")
+            _check_tie(names, covered, [by_label[m].parameter for m in joined], joined)
             for m in joined:
                 groups.pop(stands_for.get(m, m), None)
             called = names[0] if len(names) == 1 else joined[0]
             groups[called] = joined
             stands_for |= dict.fromkeys(joined, called)
-        unknowns = []
-        for label, members in groups.items():
-            if label not in stands_for.values():
-                unknowns.append(by_label[label])
-                continue
-            every = [by_label[m] for m in members]
-            first, records = every[0].parameter, sorted({i for u in every for i in u.records})
-            lower, upper = max(u.parameter.lower for u in every), min(u.parameter.upper for u in every)
-            limited = replace(first, lower=lower, upper=upper)
-            unknowns.append(FitParameter(label, limited, tuple(records), tuple(members)))
+        tied = set(stands_for.values())
+        unknowns = [
+            _tied_parameter(label, [by_label[m] for m in members], members) if label in tied else by_label[label]
+            for label, members in groups.items()
+        ]
         order = {label: i for i, label in enumerate(by_label)}
         return sorted(unknowns, key=lambda u: order[u.tied[0] if u.tied else u.label]), stands_for
 
@@ -225,6 +215,29 @@ class StatedParameters:
             f"{label}: bounds {lower:g} to {upper:g} exclude the mean of its prior, {mean:g} +- {sigma:g}; give "
             "another prior as well"
         )
+
+
+def _check_tie(
+    names: Sequence[str], covered: Sequence[str], parameters: Sequence[Parameter], labels: Sequence[str]
+) -> None:
+    """Check that a tie makes like parameters one.
+
+    covered : labels that the names of the tie cover; parameters, labels : all that become one
+    raises  : InputError where it has one parameter only, or parameters of two units
+    """
+    tie = "=".join(names)
+    if len(covered) < 2:
+        raise InputError(f"{tie}: ties one parameter only; name another one to be equal to it")
+    if len({parameter.unit for parameter in parameters}) > 1:
+        stated = ", ".join(f"{m} [{parameter.unit}]" for m, parameter in zip(labels, parameters, strict=True))
+        raise InputError(f"{tie}: their units differ: {stated}; only like parameters may be tied")
+
+
+def _tied_parameter(label: str, tied: Sequence[FitParameter], members: Sequence[str]) -> FitParameter:
+    """One unknown of tied ones, with the definition and prior of the first and the narrowest of their bounds."""
+    records = sorted({i for unknown in tied for i in unknown.records})
+    lower, upper = max(u.parameter.lower for u in tied), min(u.parameter.upper for u in tied)
+    return FitParameter(label, replace(tied[0].parameter, lower=lower, upper=upper), tuple(records), tuple(members))
 
 
 def require_estimated(options: FitOptions, owners: Owners, labels: Sequence[str]) -> None:

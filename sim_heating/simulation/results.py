@@ -155,26 +155,26 @@ def limits_in_words(summary: Mapping[str, Any]) -> str:
     >>> limits_in_words({"control_points": points})
     '1 of 2 points with limits passes them: NOSE (surface by 12 K)'
     """
-    margins = {
-        name: {part_of_wall: point.get(f"{part_of_wall}_margin_K") for part_of_wall in ("surface", "bondline")}
-        for name, point in summary["control_points"].items()
-    }
-    limited = {
-        name: {k: m for k, m in point_margins.items() if m is not None} for name, point_margins in margins.items()
-    }
-    limited = {name: point_margins for name, point_margins in limited.items() if point_margins}
-    passed = {name: {k: -m for k, m in point_margins.items() if m < 0.0} for name, point_margins in limited.items()}
-    lines = [
-        f"{name} ({', '.join(f'{part_of_wall} by {excess:.0f} K' for part_of_wall, excess in point_margins.items())})"
-        for name, point_margins in passed.items()
-        if point_margins
-    ]
-    if not limited:
+    margins = {name: _margins_of_summary(point) for name, point in summary["control_points"].items()}
+    count = sum(bool(of_point) for of_point in margins.values())
+    passed = [f"{name} ({excess})" for name, of_point in margins.items() if (excess := _excess_in_words(of_point))]
+    if not count:
         return "No point has a temperature limit"
-    if not lines:
-        return f"All {len(limited)} points with limits keep them" if len(limited) > 1 else "The point keeps its limits"
-    verb = "passes" if len(lines) == 1 else "pass"
-    return f"{len(lines)} of {len(limited)} points with limits {verb} them: {', '.join(lines)}"
+    if not passed:
+        return f"All {count} points with limits keep them" if count > 1 else "The point keeps its limits"
+    verb = "passes" if len(passed) == 1 else "pass"
+    return f"{len(passed)} of {count} points with limits {verb} them: {', '.join(passed)}"
+
+
+def _margins_of_summary(point: Mapping[str, Any]) -> dict[str, float]:
+    """Margins of surface and bondline to their limits [K], those that a point has."""
+    margins = {face: point.get(f"{face}_margin_K") for face in ("surface", "bondline")}
+    return {face: margin for face, margin in margins.items() if margin is not None}
+
+
+def _excess_in_words(margins: Mapping[str, float]) -> str:
+    """`surface by 12 K`: by how much a point passes its limits; empty where it keeps them."""
+    return ", ".join(f"{face} by {-margin:.0f} K" for face, margin in margins.items() if margin < 0.0)
 
 
 def prediction_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
