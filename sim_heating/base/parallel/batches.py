@@ -82,6 +82,12 @@ class Outcome:
     failed: dict[str, str]
 
 
+def _is_done(job: Job, out: Path, is_current: Callable[[Job, bytes], bool]) -> bool:
+    """Whether a job has a result of an earlier run that still holds."""
+    stored = _stored_result(out, job.id)
+    return stored is not None and is_current(job, stored)
+
+
 def run_batches(
     jobs: Sequence[Job],
     function: Work,
@@ -109,16 +115,13 @@ def run_batches(
         raise InputError(f"jobs: the id `{name}` is repeated; give each job its own")
     with exclusive(out):
         clear_partial_files(out)
-        done = {
-            job.id for job in jobs if (stored := _stored_result(out, job.id)) is not None and is_current(job, stored)
-        }
-        remaining = [job for job in jobs if job.id not in done]
-        counter = _JobProgress(len(jobs), len(done), progress)
+        remaining = [job for job in jobs if not _is_done(job, out, is_current)]
+        counter = _JobProgress(len(jobs), len(jobs) - len(remaining), progress)
         failed = {}
-        in_process = scheduler is None and (workers == 1 or len(remaining) <= 1)
-        running = (
-            _run_locally(remaining, function) if in_process else _run_on_dask(remaining, function, scheduler, workers)
-        )
+        if scheduler is None and (workers == 1 or len(remaining) <= 1):
+            running = _run_locally(remaining, function)
+        else:
+            running = _run_on_dask(remaining, function, scheduler, workers)
         for job_id, result in running:
             _store_result(out, job_id, result)
             if isinstance(result, BaseException):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
@@ -89,6 +91,18 @@ def plot_flight(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray) ->
 
 
 @replaced_if_undrawable
+def _panels(count: int) -> tuple[Figure, NDArray[Any]]:
+    """A figure with so many panels of the heating ratio, (row, column), in rows of COLUMNS at most."""
+    columns = min(count, COLUMNS)
+    rows = -(-count // columns)
+    figure, axes = new_figure(1.5 + 3.4 * columns, 0.8 + 3.4 * rows, rows, columns, squeeze=False)
+    for a in axes.flat[count:]:
+        a.set_visible(False)
+    for a in axes[:, 0]:
+        a.set_ylabel("heating ratio (2 sigma bands)")
+    return figure, axes
+
+
 def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
     """Draw declared table and flight estimate of a record's control point, a panel for each derivative.
 
@@ -110,11 +124,7 @@ def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
     if not variables:
         return False
     table = record_fit.record.ratio_table
-    columns = min(len(variables), COLUMNS)
-    rows = -(-len(variables) // columns)
-    figure, axes = new_figure(1.5 + 3.4 * columns, 0.8 + 3.4 * rows, rows, columns, squeeze=False)
-    for a in axes.flat[len(variables) :]:
-        a.set_visible(False)
+    figure, axes = _panels(len(variables))
     for a, i in zip(axes.flat, variables, strict=False):
         x = panel_conditions(i, reference, flown[:, i], None if table is None else table.axes[i])
         if table is not None:
@@ -122,8 +132,6 @@ def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
         inside = x[(x[:, i] >= flown[:, i].min()) & (x[:, i] <= flown[:, i].max())]
         plot_flight(a, inside[:, i], *estimated_ratio(names, values, covariance, reference, table, inside))
         a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
-    for a in axes[:, 0]:
-        a.set_ylabel("heating ratio (2 sigma bands)")
     axes[0, 0].legend(fontsize=8, loc="best")
     effects = " without the effects" if record_fit.model.effects else ""
     title = f"{record_fit.record.declared.control_point}: heating ratio{effects}\nabout {describe_condition(reference)}"

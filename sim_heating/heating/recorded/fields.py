@@ -250,7 +250,23 @@ def columns_of_fields(
     stated : column -> field, or field with unit, that prevails over the names
     raises : InputError, one line a problem, for a unit that does not fit and a field that is not there
     """
-    by_column: dict[str, list[FlightField]] = {}
+    by_column = {column: [field] for column, field in _stated_fields(names, units, stated).items()}
+    used = {f.name for fields in by_column.values() for f in fields}
+    for name in names:
+        named_field = None if name in used else field_of_name(name, units.get(name))
+        if named_field is not None and named_field.column not in stated:
+            by_column.setdefault(named_field.column, []).append(named_field)
+    return by_column
+
+
+def _stated_fields(
+    names: Sequence[str], units: Mapping[str, str], stated: Mapping[str, ConditionField | str]
+) -> dict[str, FlightField]:
+    """Column -> the field of a file that is stated to be it, constants aside.
+
+    raises : InputError, one line a problem, for a unit that does not fit and a field that is not there
+    """
+    fields: dict[str, FlightField] = {}
     problems: list[str] = []
     for column, declared in stated.items():
         named = ConditionField(field=declared) if isinstance(declared, str) else declared
@@ -259,18 +275,13 @@ def columns_of_fields(
         if named.field not in names:
             problems.append(f"`{column}`: there is no field `{named.field}`; the file has {', '.join(names)}")
             continue
-        unit = named.unit or units.get(named.field) or unit_of_name(named.field, column)
+        unit = named.unit or units.get(named.field) or unit_of_name(named.field, column) or column_unit(column)
         try:
-            convert = unit_conversion(column_unit(column) if unit is None else unit, column_unit(column), f"`{column}`")
+            convert = unit_conversion(unit, column_unit(column), f"`{column}`")
         except InputError as error:
             problems += error.problems
             continue
-        by_column[column] = [FlightField(named.field, column, unit or column_unit(column), convert)]
+        fields[column] = FlightField(named.field, column, unit, convert)
     if problems:
         raise InputError(*problems)
-    used = {f.name for fields in by_column.values() for f in fields}
-    for name in names:
-        named_field = None if name in used else field_of_name(name, units.get(name))
-        if named_field is not None and named_field.column not in stated:
-            by_column.setdefault(named_field.column, []).append(named_field)
-    return by_column
+    return fields
