@@ -1,6 +1,6 @@
 """What a closed loop tells, as data: the finding with its alternatives, how sure it is, errors before and after.
 
-Pages and files are made of it (report.py, several/joint_report.py); it imports none of them.
+Pages and files are made of it (report/); it imports none of them.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from sim_heating.closure.clues.record_checks import DataFault
 from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.curves import NAME as CURVE_NAME
+from sim_heating.closure.search.evidence import Evidence
+from sim_heating.closure.search.joint_search import JointSearch
 from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.search.trials.told_error import ToldError, flight_in_words
-from sim_heating.closure.several.evidence import Evidence
-from sim_heating.closure.several.joint_search import JointSearch
 from sim_heating.closure.verdict.adequacy import Adequacy
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.facts.of_records import held_out, of_several, ratio_uncertainty

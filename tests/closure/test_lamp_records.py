@@ -12,11 +12,10 @@ from click.testing import CliRunner
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli import cli
-from sim_heating.closure.close import close_loop
+from sim_heating.closure.close import close_loop, close_loops, write_joint_loop
 from sim_heating.closure.clues.correlation import residual_evidence
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.trial_fit import declared_fit
-from sim_heating.closure.several.joint import close_loops, write_joint_loop
 from sim_heating.estimation.inference.observability import default_names
 from sim_heating.inputs.record import Record, load_record, write_record
 from sim_heating.inputs.vehicle import load_vehicle

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim_heating.closure.close import change_parameters, refit
+from sim_heating.closure.close import refit
 from sim_heating.closure.result import ParameterEstimate
 from sim_heating.closure.search.changes.property_shapes import (
     CONDUCTIVITY,
@@ -22,6 +22,7 @@ from sim_heating.closure.search.changes.record_change import fit_changes
 from sim_heating.closure.search.hypothesis import change_hypothesis, conclude, hypothesis, scored
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit
+from sim_heating.closure.statement import change_parameters
 from sim_heating.inputs.record import Record
 from sim_heating.thermal.mesh import layer_diffusivities
 from tests.closure.test_close_loop import simulated_record

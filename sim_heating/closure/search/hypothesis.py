@@ -1,10 +1,12 @@
-"""Hypotheses on a record, and what the search concludes from them.
+"""Hypotheses on a record, or on several, and what the search concludes from them.
 
 A hypothesis is a model of the record that was fitted: the declared one, the declared one with one or more effects, or
 the declared one on a record that is changed (record_change.py), since its flight, its wall or a sensor is other than
-stated.
+stated. On several records it is one such model that some of them have in common (joint_model.py).
 All are compared by one score, BIC with the segments held out (ranking.py), relative to the declared model; those that
-may not be named (admissibility.py) are left out of the comparison.
+may not be named (admissibility.py) are left out of the comparison. The score of several records is the sum of theirs: a
+parameter of one record costs the logarithm of its number of samples, a common one that of all records that have it, so
+that one common value is cheaper than two of their own.
 """
 
 from __future__ import annotations
@@ -17,13 +19,16 @@ import numpy as np
 
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
 from sim_heating.closure.search.admissibility import OFF, far_from_declared, objections
+from sim_heating.closure.search.joint_model import JointModel
 from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
 from sim_heating.closure.search.simulated_records import RECORDS, with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
+from sim_heating.closure.search.trials.candidates import NO_EFFECT
 from sim_heating.closure.search.trials.change import RecordChange
-from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
-from sim_heating.closure.verdict.adequacy import Adequacy, assess
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count, table_log_prior
+from sim_heating.closure.verdict.adequacy import Adequacy, assess, pooled
 from sim_heating.closure.verdict.policy import POLICY
+from sim_heating.estimation.inference.newton import Fit
 
 TWINS = frozenset({"thickness_factor", "heat_capacity_factor"}), frozenset({CLOCK_SKEW.name, COMMON_LAG.name})
 """Parameters of one thing that act nearly alike: of a layer below the coating, whose thickness moves no thermocouple by
@@ -41,7 +46,7 @@ def adequacy_of(trial: TrialFit, records: int = RECORDS) -> Adequacy:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Hypothesis:
-    """A fitted model of a record.
+    """A fitted model of a record, or of several.
 
     trials     : its effects, each fitted on top of those before; the last one holds the values of all. The declared
                  model alone, or on a changed record, is the trial named `none`
@@ -50,6 +55,12 @@ class Hypothesis:
     price      : of the number of forms tried of each of its effects, and of what else speaks against it, in units of
                  BIC
     score      : BIC with held-out segments, relative to the declared model, with the noise scale of the best
+    model      : of the records that have its cause, where there are several; None for the declared models
+    each       : of several records, the trial of each: of a member with the common values, of another one with what it
+                 shows alone
+    alone      : score of the explanation that each of several records has by itself, where it is no member; else 0
+    shares     : score of each record relative to its declared model; with `common` they add up to the score
+    common     : what common parameters, priors and forms add to the score
     """
 
     trials: tuple[TrialFit, ...]
@@ -57,6 +68,21 @@ class Hypothesis:
     objections: tuple[str, ...] = ()
     price: float = 0.0
     score: float = 0.0
+    model: JointModel | None = None
+    each: tuple[TrialFit, ...] = ()
+    alone: tuple[float, ...] = ()
+    shares: tuple[float, ...] = ()
+    common: float = 0.0
+
+    @property
+    def by_record(self) -> tuple[TrialFit, ...]:
+        """The trial of each record."""
+        return self.each or (self.last,)
+
+    @property
+    def members(self) -> tuple[int, ...]:
+        """Indices of the records that have the cause; all for the declared models."""
+        return tuple(range(len(self.by_record))) if self.model is None else self.model.members
 
     @property
     def change(self) -> RecordChange | None:
@@ -79,6 +105,8 @@ class Hypothesis:
         """Kind of its first cause: "effect", "flight", "wall", "sensor", "table"; empty for the declared model."""
         if self.change is not None:
             return "effect" if self.change.effect else self.change.kind
+        if self.model is not None:
+            return self.model.cause.kind
         if not self.names:
             return ""
         return "table" if self.names == (TABLE,) else "effect"
@@ -100,19 +128,67 @@ class Hypothesis:
         return not self.objections
 
     @cached_property
+    def adequacy_by_record(self) -> tuple[Adequacy, ...]:
+        """Whether it explains each record to its noise.
+
+        Of models with an error each p-value is from as many records more as there are members, so that the smallest of
+        them can be as small as that of one record.
+        """
+        return tuple(adequacy_of(trial, RECORDS * len(self.members)) for trial in self.by_record)
+
+    @cached_property
     def adequacy(self) -> Adequacy:
-        """Whether it explains the record to its noise."""
-        return adequacy_of(self.last)
+        """Whether it explains the record, or its members, to their noise."""
+        if not self.each:
+            return self.adequacy_by_record[0]
+        problems = [self.each[i].problem for i in self.members]
+        names = [p.record_fits[0].record.name for p in problems]
+        members = [self.adequacy_by_record[i] for i in self.members]
+        return pooled(dict(zip(names, members, strict=True)), [sample_count(p) for p in problems])
 
     @property
     def adequate(self) -> bool:
         """Whether its p-value is at least `Policy.adequate_p`, or its residuals are noise larger than declared."""
         return self.adequacy.p_value >= POLICY.adequate_p or self.adequacy.unstructured
 
-    @property
+    @cached_property
     def excess_chi2(self) -> float:
-        """Reduced chi-square of the fitted samples less one."""
-        return self.last.excess_chi2
+        """Reduced chi-square of the fitted samples less one, of all records."""
+        if not self.each:
+            return self.last.excess_chi2
+        counts = [sample_count(t.problem) for t in self.each]
+        return float(np.average([t.excess_chi2 for t in self.each], weights=counts))
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log likelihood of the fitted samples, of all records [-]."""
+        return sum(t.fit.log_likelihood for t in self.by_record)
+
+    @property
+    def penalties(self) -> float:
+        """What its values cost by their distances from their priors, and what is common to several records [BIC]."""
+        if not self.each:
+            return sum(prior_penalty(self.last, t.candidate) for t in self.trials if t.name != "none")
+        common = 0.0 if self.model is None else self.model.common_cost(self.last.fit.values)
+        return common + self._flight_cost
+
+    @property
+    def _flight_cost(self) -> float:
+        """Cost of the errors of the flights of its members by their priors [BIC], each flight once."""
+        flights = {}
+        for trial in (self.each[i] for i in self.members):
+            fit, values = trial.problem.record_fits[0], fitted_values(trial)
+            flights[fit.record.flight] = [values[n] for n in fit.flight_names]
+        return float(sum(np.sum(np.square(f)) for f in flights.values()))
+
+    def delta_bic(self, none: Hypothesis) -> float:
+        """BIC minus that of the declared model, residuals taken as noise, without segments held out."""
+        if not self.each:
+            return self.last.delta_bic if self.changed is None else self.changed.delta_bic
+        fits = [(self.each[i].fit, none.each[i].fit) for i in self.members]
+        gained = sum(f.log_likelihood + table_log_prior(f) - g.log_likelihood - table_log_prior(g) for f, g in fits)
+        others = sum(score for i, score in enumerate(self.alone) if i not in self.members)
+        return (0.0 if self.model is None else self.model.parameter_cost) - 2.0 * gained + others
 
     def __repr__(self) -> str:
         names, why = " + ".join(self.names) or "none", "; ".join(self.objections) or "admissible"
@@ -160,6 +236,35 @@ def change_hypothesis(
     return _with_far(Hypothesis((replace(trial, change=None, whole_fit=None),), trial, tuple(against), price), lines)
 
 
+def joint_hypothesis(
+    model: JointModel, fit: Fit, bases: Sequence[TrialFit], alone: Sequence[tuple[TrialFit, float]]
+) -> Hypothesis:
+    """The hypothesis that a cause is common to some of several records, with the objections to it.
+
+    fit   : of the model;  bases : by record, the declared model
+    alone : by record, the trial of its own explanation and the score of that, for records that are no members
+    """
+    each, cause = [trial for trial, _ in alone], model.cause
+    trials = model.split(fit)
+    gained = sum(t.fit.log_likelihood - bases[i].fit.log_likelihood for i, t in zip(model.members, trials, strict=True))
+    against: list[tuple[str, ...]] = []
+    judged = cause.candidates
+    if cause.kind == "wall":  # far from its declared scatter a wall is fined, as in the search of one record
+        judged = tuple(replace(c, with_prior=()) for c in judged)
+    for i, trial in zip(model.members, trials, strict=True):
+        # of several effects together it is not known what the last one gained
+        gain = gained if len(cause.names) == 1 else 0.0
+        delta = len(trial.candidate.names) * float(np.log(sample_count(trial.problem))) - 2.0 * gain
+        each[i] = replace(trial, name=cause.names[-1], delta_bic=delta)
+        against.append(objections(replace(each[i], candidate=judged[-1]), judged))
+    # what may be named in one of the records, with the values common to all, may be named
+    fewest = min(against, key=len)
+    by_name = {c.name: c for c in cause.candidates}
+    joint = tuple(TrialFit(n, by_name.get(n, NO_EFFECT), model.problem, None, fit) for n in cause.names)
+    scores = tuple(0.0 if i in model.members else float(score) for i, (_, score) in enumerate(alone))
+    return Hypothesis(joint, None, fewest, cause.price, model=model, each=tuple(each), alone=scores)
+
+
 def with_one_more(below: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) -> Hypothesis:
     """A hypothesis with one effect more, or one derivative of the table.
 
@@ -186,20 +291,25 @@ def _with_far(h: Hypothesis, far: Sequence[str]) -> Hypothesis:
 def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses with their scores relative to the declared model, best first; those that may not be named come last.
 
-    The scale of residuals is that of the best admissible one.
+    The scale of a record's residuals is that of the best admissible one in it.
     """
     admissible = [h for h in others if h.admissible]
-    best = max(admissible, key=lambda h: h.last.fit.log_likelihood, default=none).last
-
-    def score(h: Hypothesis) -> float:
-        penalties = sum(prior_penalty(h.last, t.candidate) for t in h.trials if t.name != "none")
-        return model_bic(h.last, best) + penalties + h.price
-
-    zero, scale = score(none), max(1.0, best.held_out_chi2)
+    best = max(admissible, key=lambda h: h.log_likelihood, default=none)
+    zero = [model_bic(t, b) for t, b in zip(none.by_record, best.by_record, strict=True)]
+    none_cost, scale = none.penalties + none.price, max(1.0, best.last.held_out_chi2)
 
     def rated(h: Hypothesis) -> Hypothesis:
-        against = dict.fromkeys((*h.objections, *_not_predicted(none, h, scale)))
-        return replace(h, score=score(h) - zero, objections=tuple(against))
+        bic = [
+            zero[i] + h.alone[i] if i not in h.members else
+            model_bic(t, b, h.model.common_names(t.problem.record_fits[0].record) if h.model else ())
+            for i, (t, b) in enumerate(zip(h.by_record, best.by_record, strict=True))
+        ]  # fmt: skip
+        shares = [b - z if i in h.members else h.alone[i] for i, (b, z) in enumerate(zip(bic, zero, strict=True))]
+        penalties, against = h.penalties, dict.fromkeys((*h.objections, *_not_predicted(none, h, scale)))
+        return replace(
+            h, score=sum(bic) + penalties + h.price - (sum(zero) + none_cost), objections=tuple(against),
+            shares=tuple(shares), common=h.price + penalties - none_cost,
+        )  # fmt: skip
 
     return sorted(map(rated, others), key=lambda h: (not h.admissible, h.score))
 
@@ -255,6 +365,34 @@ class Conclusion:
     def __repr__(self) -> str:
         named = " + ".join(" or ".join(slot) for slot in self.alternatives)
         return f"<Conclusion: {self.finding} {named}, rival {self.rival:+.1f}>"
+
+
+class Compared:
+    """Hypotheses that are compared, and what follows from them.
+
+    none       : the declared model, or the declared models of all records
+    hypotheses : those that were fitted, best first; those that may not be named come last
+    conclusion : what follows from them
+    """
+
+    none: Hypothesis
+    hypotheses: tuple[Hypothesis, ...]
+    conclusion: Conclusion
+
+    @property
+    def explained(self) -> bool:
+        """Whether a cause was found, an effect or another."""
+        return self.conclusion.finding in ("found", "one of")
+
+    @property
+    def compared(self) -> Hypothesis:
+        """The best that may be named and is better than the declared model, which is that where there is none.
+
+        Errors after are of it, whether it is named as the cause or not.
+        """
+        if self.explained or self.conclusion.finding == "none":
+            return self.conclusion.best
+        return next((h for h in self.hypotheses if h.admissible and h.score < 0.0), self.none)
 
 
 def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:

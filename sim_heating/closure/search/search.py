@@ -38,6 +38,7 @@ from sim_heating.closure.search.changes.record_change import fit_changes, with_o
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.changes.wall_changes import wall_changes
 from sim_heating.closure.search.hypothesis import (
+    Compared,
     Conclusion,
     Hypothesis,
     change_hypothesis,
@@ -74,7 +75,7 @@ from sim_heating.inputs.record import Record
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SearchResult:
+class SearchResult(Compared):
     """The result of the search for missing effects in one record.
 
     before     : the declared model's fit, its magnitude and derivatives
@@ -100,21 +101,6 @@ class SearchResult:
     def base(self) -> TrialFit:
         """The declared model as the search began with it."""
         return self.begun_with or self.none.last
-
-    @property
-    def explained(self) -> bool:
-        """Whether a cause was found, an effect or another."""
-        return self.conclusion.finding in ("found", "one of")
-
-    @property
-    def compared(self) -> Hypothesis:
-        """The best model that may be named and is better than the declared one, which is that where there is none.
-
-        Errors after are of this model, whether it is named as the cause or not.
-        """
-        if self.explained or self.conclusion.finding == "none":
-            return self.conclusion.best
-        return next((h for h in self.hypotheses if h.admissible and h.score < 0.0), self.none)
 
     @property
     def added(self) -> tuple[TrialFit, ...]:

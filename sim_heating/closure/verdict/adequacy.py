@@ -116,6 +116,32 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
     )
 
 
+def pooled(by_record: Mapping[str, Adequacy], counts: Sequence[int]) -> Adequacy:
+    """Whether one model explains several records: chi-squares pooled, the p-value that of the worst record.
+
+    by_record : name of a record -> adequacy of the model there;  counts : (record,) numbers of fitted samples
+
+    The smallest of n independent p-values is below p with the probability 1 - (1 - p)^n (Sidak 1967).
+    """
+    adequacies = list(by_record.values())
+
+    def mean(values: Sequence[float]) -> float:
+        return float(np.average(values, weights=np.array(counts, dtype=float)))
+
+    held_out = [a.chi2_holdout for a in adequacies if a.chi2_holdout is not None]
+    return Adequacy(
+        p_value=-math.expm1(len(adequacies) * math.log1p(-min(a.p_value for a in adequacies))),
+        chi2_fit=mean([a.chi2_fit for a in adequacies]),
+        chi2_holdout=float(np.mean(held_out)) if held_out else None,
+        lag1=mean([a.lag1 for a in adequacies]),
+        sign_changes=mean([a.sign_changes for a in adequacies]),
+        by_sensor={f"{n}, {k}": v for n, a in by_record.items() for k, v in a.by_sensor.items()},
+        by_phase={f"{n}, {k}": v for n, a in by_record.items() for k, v in a.by_phase.items()},
+        statistic=max(a.statistic for a in adequacies),
+        unstructured=all(a.unstructured for a in adequacies),
+    )
+
+
 def p_value(statistic: float, known: FloatArray | None = None) -> float:
     """Share of records of known truth whose statistic is larger, (k + 1) / (n + 1) of n, linear between them.
 

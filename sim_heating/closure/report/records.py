@@ -25,11 +25,11 @@ from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.report import tell_apart_section
+from sim_heating.closure.report.record import tell_apart_section
 from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone, finite, listed
+from sim_heating.closure.search.evidence import Evidence
+from sim_heating.closure.search.joint_model import RECORD
 from sim_heating.closure.search.trials.told_error import flight_as_json
-from sim_heating.closure.several.evidence import Evidence
-from sim_heating.closure.several.joint_fit import RECORD
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, shade_holdout

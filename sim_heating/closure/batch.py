@@ -108,7 +108,7 @@ def close_all(
     raises    : InputError where the scheduler or a folder of results cannot be used
     """
     from sim_heating.closure.close import COMMAND, FILES
-    from sim_heating.closure.several.batch_page import write_batch_page  # matplotlib is slow to import
+    from sim_heating.closure.report.batch import write_batch_page  # matplotlib is slow to import
 
     labels = record_names(records, root)
     jobs = [record_job(path, out / label, root, names, label) for path, label in zip(records, labels, strict=True)]
@@ -171,7 +171,7 @@ def program_digest(inputs: Sequence[str], settings: Sequence[str] = ()) -> str:
 def _close_record(task: Task) -> bytes:
     """Close the loop on one record and write its folder; summary row, residuals and digest of the folder as JSON."""
     from sim_heating.closure.close import close_loop, write_closed_loop
-    from sim_heating.closure.several.batch_page import residual_history
+    from sim_heating.closure.report.batch import residual_history
 
     record = load_record(task.record, root=task.root)
     closed = close_loop(replace(record, label=task.label), task.names)

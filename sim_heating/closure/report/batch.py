@@ -11,7 +11,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.report.chart import Chart, Curve, Panel, Span, decimated
 from sim_heating.base.report.page import Page, Section, write_page
-from sim_heating.closure.report import closures_table
+from sim_heating.closure.report.record import closures_table
 from sim_heating.closure.result import PAGE, Closure
 from sim_heating.estimation.report.plots import AFTER, BEFORE
 from sim_heating.simulation.report.charts import SHADES, record_spans, residual_limits, shown_span

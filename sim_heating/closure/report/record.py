@@ -29,7 +29,7 @@ from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import write_residual_heating
 from sim_heating.closure.curves import NAME as CURVE_NAME
 from sim_heating.closure.curves import curve_words, write_curve
-from sim_heating.closure.plots import (
+from sim_heating.closure.report.plots import (
     comparison_chart,
     heating_chart,
     hysteresis_figure,
@@ -118,7 +118,7 @@ def closure_page(found: Closure) -> Page:
 def closures_table(rows: Sequence[Mapping[str, Any]], pages: Sequence[str | None] = ()) -> Table:
     """Effects found in records and the errors before and after, a row a record; a page sorts and filters them.
 
-    rows  : as `several.batch.summary_row` gives them, or the name of a record and why it `failed`
+    rows  : as `closure.batch.summary_row` gives them, or the name of a record and why it `failed`
     pages : of each record, the address of its own page
     """
     errors = {
