@@ -197,7 +197,7 @@ def _with_error(record: Record, trial: TrialFit) -> FitResult:
 
 def _whole_problem(record: Record, trial: TrialFit) -> FitProblem:
     """The problem of a whole record with the model of a trial, and the error that this has, if any."""
-    fit = trial.problem.record_fits[0]
+    fit = trial.record_fit
     error, effects = fit.model_error, fitted_effects(trial)
     if error is None:
         options = FitOptions(effects, priors=refit_priors(trial))
@@ -239,7 +239,7 @@ def refit(result: SearchResult) -> FitResult:
     in_model = best.changed.estimates if best.changed is not None and change is not None and change.in_model else []
     return estimate(
         [record],
-        [n for n in last.problem.record_fits[0].names if n not in in_model],
+        [n for n in last.record_fit.names if n not in in_model],
         reference=dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True)),
         effects=fitted_effects(last),
         priors=refit_priors(last),
@@ -253,7 +253,7 @@ def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
     With the declared ones the last fit could end at other values than those that were ranked: a lag of 30 s is 60
     sigmas from that of a sensor which is attached as declared.
     """
-    fit = trial.problem.record_fits[0]
+    fit = trial.record_fit
     searched = trial.problem.parameters
     priors = {p.name: p for p in searched if p.name == CLOCK_SKEW.name or p.name.endswith(LAG_NAME)}
     for name in fit.march_names:
@@ -374,8 +374,8 @@ def _refit_jointly(search: JointSearch) -> FitResult:
     records = [search.alone[i].record for i in model.members]
     if model.cause.change is not None:
         records = [model.cause.change.apply(record, 0.0) for record in records]
-    whole = [_whole_problem(r, best.each[i]) for i, r in zip(model.members, records, strict=True)]
-    problem = joined(whole, model.levels)
+    problems = [_whole_problem(r, best.each[i]) for i, r in zip(model.members, records, strict=True)]
+    problem = joined(problems, model.levels)
     values = {u.label: v for u, v in zip(model.problem.unknowns, best.last.fit.values, strict=True)}
     return fit_problem(problem, np.array([values[u.label] for u in problem.unknowns]), settings=REFIT)
 

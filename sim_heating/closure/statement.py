@@ -120,7 +120,7 @@ def closure_of(
 
 def is_exact(trial: TrialFit) -> bool:
     """Whether the model of a trial has no error of its own."""
-    return trial.problem.record_fits[0].model_error is None
+    return trial.record_fit.model_error is None
 
 
 def _curve(result: SearchResult) -> CurveBand | None:
@@ -328,11 +328,11 @@ def _findings(search: Compared, estimated: Mapping[str, ParameterEstimate]) -> l
     if not search.explained or not best.effects or (best.model is not None and best.kind != "effect"):
         name = search.conclusion.effect_name
         return [Finding(name, shares[NONE] if name == NONE else 1.0 - shares[NONE], {})]
-    share = shares[" + ".join(best.names)]
+    posterior = shares[" + ".join(best.names)]
     of_change = [best.changed] if best.changed is not None and best.change is not None and best.change.effect else []
     return [
-        *(Finding(f.change.effect, share, change_parameters(f, estimated)) for f in of_change if f.change),
-        *(Finding(t.name, share, effect_parameters(t, estimated), _sensor_of(t)) for t in best.added),
+        *(Finding(f.change.effect, posterior, change_parameters(f, estimated)) for f in of_change if f.change),
+        *(Finding(t.name, posterior, effect_parameters(t, estimated), _sensor_of(t)) for t in best.added),
     ]
 
 

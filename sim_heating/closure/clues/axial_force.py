@@ -62,30 +62,30 @@ def axial_steps(
         return None
     span = record.time_s[record.fit_mask() | record.holdout_mask()]
     t, a = flown.time_s, flown[COLUMN]
-    known = (
+    judged = (
         (np.abs(a) > min_acceleration_g) & (t >= np.min(span, initial=np.inf)) & (t <= np.max(span, initial=-np.inf))
     )
     half_window_s, blind_s, min_samples = WINDOW
-    if np.count_nonzero(known) < min_samples:
+    if np.count_nonzero(judged) < min_samples:
         return ()
-    t = t[known]
+    t = t[judged]
     # Over twice the dynamic pressure: the acceleration itself varies with density and speed throughout.
-    C = a[known] / (flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2)[known]
-    angles = np.column_stack([flown[n][known] for n in ANGLES])
+    C = a[judged] / (flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2)[judged]
+    angles = np.column_stack([flown[n][judged] for n in ANGLES])
     scan = [(_step(t, C, angles, at), at) for at in 0.5 * (t[1:] + t[:-1])]
     scanned = [(F, dof, size, at) for (F, dof, size), at in scan if dof > 0]
     # The number of places, as far apart as a step is not searched for, at which noise could have shown a step.
     windows = max(np.ptp(t) / half_window_s, 1.0) * half_window_s / blind_s
-    found: list[AxialStep] = []
+    steps: list[AxialStep] = []
     for F, dof, size, at in sorted(scanned, key=lambda s: -s[0]):
-        if all(abs(at - s.time_s) > half_window_s for s in found):
+        if all(abs(at - s.time_s) > half_window_s for s in steps):
             single = float(fdtrc(1, dof, F))
-            found.append(
+            steps.append(
                 AxialStep(float(at), size, float(-math.expm1(windows * math.log1p(-min(single, 1.0 - 1e-16)))))
             )
-        if len(found) == max_steps:
+        if len(steps) == max_steps:
             break
-    return tuple(found)
+    return tuple(steps)
 
 
 def _step(

@@ -126,11 +126,11 @@ def _without_level(A: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray
 
     A fit of the flow's heating has a magnitude among its parameters; that of a wall without flow has none.
     """
-    along = A.sum(axis=1)
-    power = float(along.sum())
+    level = A.sum(axis=1)
+    power = float(level.sum())
     if not power > 0.0:
         return A, b
-    return A - np.outer(along, along) / power, b - along * float(b.sum()) / power
+    return A - np.outer(level, level) / power, b - level * float(b.sum()) / power
 
 
 def trials_factor(profiled: ProfiledInformation, columns: FloatArray, seed: int = 0, *, draw_count: int = 400) -> float:

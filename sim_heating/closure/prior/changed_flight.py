@@ -103,18 +103,18 @@ def _changed(record: Record, columns: dict[str, FloatArray]) -> Record:
     """The record with changed columns of density, velocity or angle of attack, and all that follows from them."""
     before, flown = record.conditions, record.conditions.with_columns(**columns)
     density, speed = (_over(flown[name], before[name]) for name in ("rho_kg_m3", "velocity_m_s"))
-    more: dict[str, FloatArray] = {"log10_re": flown["log10_re"] + np.log10(density * speed)}
+    following: dict[str, FloatArray] = {"log10_re": flown["log10_re"] + np.log10(density * speed)}
     if "q_Pa" in flown:
-        more["q_Pa"] = flown["q_Pa"] * density * speed**2
+        following["q_Pa"] = flown["q_Pa"] * density * speed**2
     if "p_surface_Pa" in flown:
-        more["p_surface_Pa"] = _surface_pressure(before, flown, density * speed**2)
+        following["p_surface_Pa"] = _surface_pressure(before, flown, density * speed**2)
     if record.declared.heating.reference == "columns":
         recovery = record.declared.heating.recovery_of_point
         # "none" has no film coefficient, only the recovery enthalpy of the point
         H_r = [reference_heating("none", c, recovery=recovery)[1] for c in (before, flown)]
-        more["H_r_J_kg"] = flown["H_r_J_kg"] + H_r[1] - H_r[0]
-        more["h_ref_kg_m2_s"] = flown["h_ref_kg_m2_s"] * np.sqrt(density) * speed
-    return replace(record, conditions=flown.with_columns(**more))
+        following["H_r_J_kg"] = flown["H_r_J_kg"] + H_r[1] - H_r[0]
+        following["h_ref_kg_m2_s"] = flown["h_ref_kg_m2_s"] * np.sqrt(density) * speed
+    return replace(record, conditions=flown.with_columns(**following))
 
 
 def _over(values: FloatArray, before: FloatArray) -> FloatArray:
@@ -133,10 +133,10 @@ def _surface_pressure(before: Conditions, flown: Conditions, pressure: FloatArra
     """
     rise, turned = (before["p_surface_Pa"] - before["p_inf_Pa"]) * pressure, flown["alpha_deg"] - before["alpha_deg"]
     if np.any(turned):
-        whole = FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
-        largest = surface_pressure(whole, before) - before["p_inf_Pa"]
-        part = np.divide(rise, largest, out=np.zeros_like(rise), where=(largest > 0.0) & (rise > 0.0))
-        angle, heated = np.degrees(np.arcsin(np.sqrt(np.minimum(part, 1.0)))), heated_part(before)
+        stagnation = FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
+        largest = surface_pressure(stagnation, before) - before["p_inf_Pa"]
+        fraction = np.divide(rise, largest, out=np.zeros_like(rise), where=(largest > 0.0) & (rise > 0.0))
+        angle, heated = np.degrees(np.arcsin(np.sqrt(np.minimum(fraction, 1.0)))), heated_part(before)
         # a windward surface follows the angle of attack; the pressure of a leeward one does not
         if np.std((angle - before["alpha_deg"])[heated]) < 0.5 * np.std(before["alpha_deg"][heated]):
             rise = largest * np.sin(np.radians(np.clip(angle + turned, 0.0, 90.0))) ** 2

@@ -59,17 +59,17 @@ def table_findings(fit: FitResult, prior: TablePrior | None) -> list[TableFindin
     value, C = fit.fit.values[of_fit], fit.bounds.covariance[np.ix_(of_fit, of_fit)]
     S = prior.covariance[np.ix_(of_prior, of_prior)] + C
     # a parameter without a bound is not off anything
-    known = np.isfinite(np.diag(S))
-    names = [n for n, k in zip(names, known, strict=True) if k]
-    value, C, S = value[known], C[np.ix_(known, known)], S[np.ix_(known, known)]
+    bounded = np.isfinite(np.diag(S))
+    names = [n for n, k in zip(names, bounded, strict=True) if k]
+    value, C, S = value[bounded], C[np.ix_(bounded, bounded)], S[np.ix_(bounded, bounded)]
     estimates = {n: (float(v), float(s)) for n, v, s in zip(names, value, np.sqrt(np.diag(C)), strict=True)}
     z = value / np.sqrt(np.diag(S))
-    found = [
+    findings = [
         TableFinding(table_error(n, v[0], abs(float(u))), {n: v}, abs(float(u)), math.erfc(abs(u) / math.sqrt(2.0)))
         for (n, v), u in zip(estimates.items(), z, strict=True)
         if abs(u) > MOST_SIGMA
     ]
-    return sorted(found, key=lambda f: -f.sigmas) or _combination(estimates, z, S)
+    return sorted(findings, key=lambda f: -f.sigmas) or _combination(estimates, z, S)
 
 
 def _combination(
@@ -126,5 +126,5 @@ def table_word(name: str) -> str:
     return f"{second}{'-'.join(variables)} derivative"
 
 
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join((", ".join(words[:-1]), words[-1])) if len(words) > 1 else words[0]
+def _listed(items: Sequence[str]) -> str:
+    return " and ".join((", ".join(items[:-1]), items[-1])) if len(items) > 1 else items[0]

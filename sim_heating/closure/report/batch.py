@@ -20,14 +20,16 @@ INTERVALS = 200
 """Intervals of time of the residuals that are kept of each record."""
 
 
-def residual_history(found: Closure) -> dict[str, Any]:
+def residual_history(closure: Closure) -> dict[str, Any]:
     """Residuals of a record's used sensors before and after, decimated, as plain values for `batch_page`."""
-    record = found.record
+    record = closure.record
     curves = []
-    stages = [("before", found.before, BEFORE)] + ([("after", found.after, AFTER)] if found.added else [])
+    stages = [("before", closure.before, BEFORE)] + ([("after", closure.after, AFTER)] if closure.added else [])
     for i, sensor in enumerate(record.sensors):
         if sensor.used:
-            fitted = residual_limits((found.after if found.added else found.before).residual_K[i][record.fit_mask()])
+            fitted = residual_limits(
+                (closure.after if closure.added else closure.before).residual_K[i][record.fit_mask()]
+            )
             for label, prediction, color in stages:
                 kept = decimated(record.time_s, prediction.residual_K[i], INTERVALS, middle=True)
                 kept = kept[np.isfinite(prediction.residual_K[i][kept])]

@@ -41,17 +41,17 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
     returns : record -> segments -> before, after; None for segments that do not exist
     raises  : InputError where a record is of another control point, or over another reference heating
     """
-    found: dict[str, dict[str, Any]] = {}
+    errors: dict[str, dict[str, Any]] = {}
     for record in records:
         _check_comparable(update, record)
         residuals = {}
         for when, (model, flow) in _models(update, record).items():
             residuals[when] = _residual_K(record, model, flow)
         masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
-        found[record.name] = {
-            part: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for part, mask in masks.items()
+        errors[record.name] = {
+            segment: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for segment, mask in masks.items()
         }
-    return found
+    return errors
 
 
 def _models(update: TableUpdate, record: Record) -> dict[str, tuple[PointModel, EdgeFlow]]:
@@ -74,8 +74,8 @@ def rmse_with_tables_K(record: Record, vehicle: Vehicle, start: FittedStart | No
     start  : where the march begins, as the fit of the record states it; by default at the first conditions
     raises : InputError where the vehicle has no such control point, or its table is over another reference heating
     """
-    found = pooled_rmse_K(_residual_K(record, *point_with_vehicle_table(record, vehicle), start), record.fit_mask())
-    return math.nan if found is None else float(found["rmse_K"])
+    errors = pooled_rmse_K(_residual_K(record, *point_with_vehicle_table(record, vehicle), start), record.fit_mask())
+    return math.nan if errors is None else float(errors["rmse_K"])
 
 
 # What the tables hold of the fit --------------------------------------------------------------------------------------
@@ -125,8 +125,8 @@ def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None, *,
 
     def rmse_K(model: PointModel, flow: EdgeFlow, begin: FittedStart | None = start, **of_readings: Any) -> float:
         residual = _residual_K(record, model, flow, begin, **of_readings)
-        found = pooled_rmse_K(residual, mask)
-        return math.nan if found is None else float(found["rmse_K"])
+        errors = pooled_rmse_K(residual, mask)
+        return math.nan if errors is None else float(errors["rmse_K"])
 
     readings: dict[str, Any] = {
         "skew_s": values.get(CLOCK_SKEW.name, 0.0),
@@ -142,7 +142,7 @@ def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None, *,
             causes[m.what] = _reduction(after_K, rmse_K(*_with(models["after"], fit, [m]), **m.of_readings))
         every = {key: value for m in missing for key, value in m.of_readings.items()}
         causes[REST] = _reduction(rmse_K(*_with(models["after"], fit, missing), **every), fit_K)
-    named = {what: loss for what, loss in causes.items() if loss > least_loss * after_K}
+    named = {cause: loss for cause, loss in causes.items() if loss > least_loss * after_K}
     if start is not None and (loss := _reduction(from_entry_K, after_K)) > least_loss * from_entry_K:
         named[f"heating before {start.time_s:g} s, where the fit begins"] = loss
     before_K = rmse_K(*models["before"])
@@ -170,9 +170,9 @@ def _with(
     return replace(model, parameters=parameters, effects=effects, reference=fit.reference), flow
 
 
-def _reduction(whole: float, without: float) -> float:
+def _reduction(total: float, without: float) -> float:
     """sqrt(whole^2 - without^2), 0 where that is negative."""
-    return math.sqrt(max(whole**2 - without**2, 0.0))
+    return math.sqrt(max(total**2 - without**2, 0.0))
 
 
 def _values(update: TableUpdate, record: Record) -> dict[str, float]:

@@ -87,8 +87,8 @@ class FlownRatio:
         """
         W = node_weights(axes, self.x)
         nodes = np.unique(W.indices)
-        places = np.unravel_index(nodes, [len(a) for a in axes])
-        at_nodes = self.ratio_at(np.stack([a[i] for a, i in zip(axes, places, strict=True)], axis=1))
+        indices = np.unravel_index(nodes, [len(a) for a in axes])
+        at_nodes = self.ratio_at(np.stack([a[i] for a, i in zip(axes, indices, strict=True)], axis=1))
         off = self.ratio - W[:, nodes] @ at_nodes
         worst = np.sort(off**2)[-max(int(0.02 * len(off)), 1) :]
         return float(np.sqrt(np.mean(worst) / np.average(self.ratio**2, weights=self.weight)))
@@ -126,8 +126,8 @@ class NodeEvidence:
         e = self.evidence
         if not e.names:
             return e
-        places = zip(axes, self.axes, np.unravel_index(e.nodes, [len(a) for a in self.axes]), strict=True)
-        index = [np.searchsorted(new, old[i]) for new, old, i in places]
+        axes_and_indices = zip(axes, self.axes, np.unravel_index(e.nodes, [len(a) for a in self.axes]), strict=True)
+        index = [np.searchsorted(new, old[i]) for new, old, i in axes_and_indices]
         nodes = np.ravel_multi_index(index, [len(a) for a in axes])
         return Evidence(e.names, nodes, e.H, e.value, e.covariance)
 

@@ -63,11 +63,11 @@ class StoredEvidence(Declared):
 
     @model_validator(mode="after")
     def _check(self) -> StoredEvidence:
-        known, k = [p.name for p in RATIO], len(self.names)
+        ratio_names, k = [p.name for p in RATIO], len(self.names)
         problems: list[tuple[Location, str]] = [
-            (("names", i), f"`{n}` is not a parameter of the ratio{suggestion(n, known)}")
+            (("names", i), f"`{n}` is not a parameter of the ratio{suggestion(n, ratio_names)}")
             for i, n in enumerate(self.names)
-            if n not in known and not n.startswith(EFFECT_PREFIX)
+            if n not in ratio_names and not n.startswith(EFFECT_PREFIX)
         ]
         if repeated_name(self.names) is not None:
             problems.append((("names",), f"`{repeated_name(self.names)}` occurs twice"))
@@ -147,11 +147,11 @@ def stored_evidence(measured: FlownRatio | None) -> dict[str, Any]:
 
 
 def _shape_problems(
-    key: str, rows: list[list[float]], height: int, width: int, what: str = "names"
+    key: str, rows: list[list[float]], height: int, width: int, rows_of: str = "names"
 ) -> list[tuple[Location, str]]:
     """Why a list of rows is not a matrix of this shape."""
     if len(rows) != height:
-        return [((key,), f"has {len(rows)} rows for {height} {what}")]
+        return [((key,), f"has {len(rows)} rows for {height} {rows_of}")]
     ragged = [(i, row) for i, row in enumerate(rows) if len(row) != width]
     return [((key, i), f"has {len(row)} values where there must be {width}") for i, row in ragged]
 

@@ -30,13 +30,13 @@ def is_of_table(used: EffectUse, x: FloatArray) -> bool:
 
     x : (m, 5) conditions that were flown, [deg] and [-]
     """
-    of = used.effect
-    if of.mode == "model":
-        return all(isinstance(p, ModelParameter) and p.stands_for.startswith("ratio.") for p in of.parameters)
-    if of.mode != "add" or of.lags or of.kernel is None:
+    effect = used.effect
+    if effect.mode == "model":
+        return all(isinstance(p, ModelParameter) and p.stands_for.startswith("ratio.") for p in effect.parameters)
+    if effect.mode != "add" or effect.lags or effect.kernel is None:
         return False
-    one, other = (_kernel_values(used, x, value) for value in OTHER_CONDITIONS)
-    return bool(np.array_equal(one, other))
+    first, other = (_kernel_values(used, x, value) for value in OTHER_CONDITIONS)
+    return bool(np.array_equal(first, other))
 
 
 def added_ratio(used: EffectUse, x: FloatArray, reference: FloatArray) -> FloatArray:

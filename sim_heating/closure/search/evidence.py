@@ -53,7 +53,7 @@ class Evidence:
 
 def applies(cause: Cause, base: TrialFit) -> bool:
     """Whether a record can have a cause: its thermocouples, and the columns that its effects read."""
-    record = base.problem.record_fits[0].record
+    record = base.record_fit.record
     flown, sensors = conditions_of_record(record), {s.name for s in record.sensors}
     needed = [column for name in cause.names if name in effects() for column in effects()[name].needs]
     named = [n.split(".", 1)[1].rpartition(".")[0] for n in cause.candidate.names if n.startswith(SENSOR_PREFIX)]

@@ -177,7 +177,7 @@ class Hypothesis:
         """Cost of the errors of the flights of its members by their priors [BIC], each flight once."""
         flights = {}
         for trial in (self.each[i] for i in self.members):
-            fit, values = trial.problem.record_fits[0], fitted_values(trial)
+            fit, values = trial.record_fit, fitted_values(trial)
             flights[fit.record.flight] = [values[n] for n in fit.flight_names]
         return float(sum(np.sum(np.square(f)) for f in flights.values()))
 
@@ -227,9 +227,9 @@ def change_hypothesis(
     if parameter is not None and abs(trial.value - parameter.value) < POLICY.min_sigmas * trial.sigma:
         against.append(f"{change.what}: less than {POLICY.min_sigmas:g} standard deviations from none")
     counted = len(change.free) + (1 if change.in_model else 0)  # by the trial's own problem
-    more = (change.unknowns - counted) * float(np.log(sample_count(trial.problem)))
+    uncounted = (change.unknowns - counted) * float(np.log(sample_count(trial.problem)))
     scatter = scatter_price(trial.deviation) + sum(map(scatter_price, trial.deviations_of_free))
-    price = 2.0 * float(np.log(max(tried, 1))) + more + scatter + against_motion
+    price = 2.0 * float(np.log(max(tried, 1))) + uncounted + scatter + against_motion
     far = trial.deviation > POLICY.max_scatter_sigmas
     lines = [f"{change.what} is {trial.deviation:.1f} {OFF} the declared value"] if far else []
     # the last trial of a hypothesis goes to other processes and back, which a change cannot
@@ -270,12 +270,12 @@ def with_one_more(below: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) 
 
     trial : of it, fitted on top of the last one of the hypothesis;  forms : as in `hypothesis`
     """
-    own = hypothesis([trial], forms)
+    further = hypothesis([trial], forms)
     return replace(
         below,
         trials=(*below.trials, trial),
-        objections=(*below.objections, *own.objections),
-        price=below.price + own.price,
+        objections=(*below.objections, *further.objections),
+        price=below.price + further.price,
     )
 
 
@@ -301,7 +301,7 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     def rated(h: Hypothesis) -> Hypothesis:
         bic = [
             zero[i] + h.alone[i] if i not in h.members else
-            model_bic(t, b, h.model.common_names(t.problem.record_fits[0].record) if h.model else ())
+            model_bic(t, b, h.model.common_names(t.record_fit.record) if h.model else ())
             for i, (t, b) in enumerate(zip(h.by_record, best.by_record, strict=True))
         ]  # fmt: skip
         shares = [b - z if i in h.members else h.alone[i] for i, (b, z) in enumerate(zip(bic, zero, strict=True))]
@@ -329,8 +329,8 @@ def _not_predicted(none: Hypothesis, h: Hypothesis, scale: float) -> list[str]:
     if not gained >= -POLICY.held_out_gain:
         return ["it predicts the segments held out worse than the declared model"]
     excess = 0.5 * sample_count(trial.held_out) * max(declared.held_out_chi2 - 1.0, 0.0) / scale
-    share = (none.excess_chi2 - h.excess_chi2) / none.excess_chi2 if none.excess_chi2 > 0.0 else 0.0
-    if min(max(share, 0.0), 1.0) * excess >= POLICY.promised_gain and gained < POLICY.held_out_gain:
+    explained = (none.excess_chi2 - h.excess_chi2) / none.excess_chi2 if none.excess_chi2 > 0.0 else 0.0
+    if min(max(explained, 0.0), 1.0) * excess >= POLICY.promised_gain and gained < POLICY.held_out_gain:
         return ["it explains what the fitted segments show, and nothing of those held out"]
     return []
 
@@ -410,7 +410,7 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
         margin = min((h.score for h in admissible), default=np.inf)
         return Conclusion("unknown" if unexplained else "none", none, (), float(margin))
     explained = none.excess_chi2 - best.excess_chi2
-    share = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
+    fraction = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
     inside = [h for h in admissible if h.score <= best.score + POLICY.set_margin and len(h.names) == len(best.names)]
     inside += [
         h for h in admissible if h not in inside and h.score <= best.score + POLICY.twin_margin and _is_twin(h, best)
@@ -423,19 +423,19 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     barred = min((h.score for h in rated if not h.admissible and np.isfinite(h.score)), default=best.score)
     beaten = max(float(best.score - barred), 0.0)
     if best.adequate and _small_error(best):
-        several = any(len(slot) > 1 for slot in alternatives)
-        return Conclusion("one of" if several else "found", best, alternatives, rival, share, beaten)
-    if share >= POLICY.min_explained:
-        return Conclusion("partly", best, alternatives, rival, share, beaten)
-    return Conclusion("unknown", best, (), rival, share, beaten)
+        is_set = any(len(slot) > 1 for slot in alternatives)
+        return Conclusion("one of" if is_set else "found", best, alternatives, rival, fraction, beaten)
+    if fraction >= POLICY.min_explained:
+        return Conclusion("partly", best, alternatives, rival, fraction, beaten)
+    return Conclusion("unknown", best, (), rival, fraction, beaten)
 
 
 def _is_twin(h: Hypothesis, best: Hypothesis) -> bool:
     """Whether an adequate hypothesis differs from the best in one cause, which is a physical twin of the other's."""
     if len(h.names) != len(best.names) or len(set(h.names) - set(best.names)) != 1 or not h.adequate:
         return False
-    own, others = _things(h) - _things(best), _things(best) - _things(h)
-    return any(a[0] == b[0] and {a[1], b[1]} in TWINS for a in own for b in others)
+    things, others = _things(h) - _things(best), _things(best) - _things(h)
+    return any(a[0] == b[0] and {a[1], b[1]} in TWINS for a in things for b in others)
 
 
 def _things(h: Hypothesis) -> set[tuple[str, str]]:

@@ -147,7 +147,7 @@ class JointModel:
         """By member, the trial of its own model at the values of a joint fit, with the joint bounds."""
         trials = []
         for trial, joined in zip(self.trials, self.problem.record_fits, strict=True):
-            index = trial.problem.record_fits[0].index
+            index = trial.record_fit.index
             at = np.empty(len(index), dtype=np.int64)
             at[index] = joined.index
             selected = fit.select(at, [u.parameter.name for u in trial.problem.unknowns])

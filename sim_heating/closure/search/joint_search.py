@@ -101,14 +101,14 @@ def with_common_flights(alone: Sequence[SearchResult]) -> list[TrialFit]:
     The error of a record's heating is as large as with the best model of its own search.
     """
     bases = [_with_size(result) for result in alone]
-    flights = [b.problem.record_fits[0].record.flight for b in bases]
+    flights = [b.record_fit.record.flight for b in bases]
     shared = [
         b if flights.count(flight) < 2 else replace(
             b, problem=b.problem.with_flight_unknowns(), held_out=b.held_out and b.held_out.with_flight_unknowns()
         )
         for b, flight in zip(bases, flights, strict=True)
     ]  # fmt: skip
-    members = [i for i, b in enumerate(shared) if b.problem.record_fits[0].flight_names]
+    members = [i for i, b in enumerate(shared) if b.record_fit.flight_names]
     if not members:
         return bases
     trials = tuple(shared[i] for i in members)
@@ -124,7 +124,7 @@ def with_common_flights(alone: Sequence[SearchResult]) -> list[TrialFit]:
 def _with_size(result: SearchResult) -> TrialFit:
     """The declared model with the error as large as with the best model of a record's own search."""
     base, size = result.base, result.compared.last.size
-    error = base.problem.record_fits[0].model_error
+    error = base.record_fit.model_error
     if size is None or error is None:
         return base
     return replace(with_error(base, error.of_size(*size.likeliest)), size=size)
@@ -257,8 +257,8 @@ def _with_own_parameters(none: Hypothesis, ranked: Sequence[Hypothesis], bases: 
         wide, narrow = (next(r for r in every if r.model is x.model) for x in (h, narrowed[k]))
         assert wide.model is not None
         assert narrow.model is not None
-        more = narrow.model.parameter_cost - wide.model.parameter_cost
-        gained = wide.score - wide.price - (narrow.score - narrow.price) + more
+        extra_cost = narrow.model.parameter_cost - wide.model.parameter_cost
+        gained = wide.score - wide.price - (narrow.score - narrow.price) + extra_cost
         costs = math.log(sample_count(bases[0].problem))
         near = wide.score - gained < best + POLICY.rival_margin
         results.append(_one_by_one(none, h, narrowed[k], bases) if gained > costs and near else h)
@@ -325,7 +325,7 @@ def _without_records(
     A record is left out only where the score is lower by `Policy.min_gain` without it, and none where they have the
     error of a flight in common: all of them inform that.
     """
-    if any(base.problem.record_fits[0].flight_names for base in bases):
+    if any(base.record_fit.flight_names for base in bases):
         return h
     best = h
     while best.model is not None and len(best.members) > 1:

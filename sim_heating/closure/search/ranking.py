@@ -88,7 +88,7 @@ def model_bic(trial: TrialFit, best: TrialFit, common_names: Collection[str] = (
 
     common_names : of parameters that are in common with other records, which are not counted here
     """
-    fit = trial.problem.record_fits[0]
+    fit = trial.record_fit
     c = max(1.0, 1.0 + best.excess_chi2)
     held_out = trial.held_out_log_likelihood / max(1.0, best.held_out_chi2)
     # Those with the prior of the table are common to all models; a model that frees one of them has one more.
@@ -128,9 +128,11 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
 
 def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
     """What the estimates of an effect of a trial's model cost by their distances from their priors [BIC]."""
-    part, found = trial.problem.record_fits[0], fitted_values(trial)
-    priors = {n: sensor_definition(part.record, n) or part.model.definition(n) for n in candidate.with_prior}
-    return sum(scatter_price(abs(found[n] - p.value) / p.sigma) for n, p in priors.items())
+    record_fit, values = trial.record_fit, fitted_values(trial)
+    priors = {
+        n: sensor_definition(record_fit.record, n) or record_fit.model.definition(n) for n in candidate.with_prior
+    }
+    return sum(scatter_price(abs(values[n] - p.value) / p.sigma) for n, p in priors.items())
 
 
 def scatter_price(deviation: float) -> float:

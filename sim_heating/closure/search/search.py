@@ -139,22 +139,24 @@ def search_effects(
         hypotheses += _fitted_on(base, none, hypotheses, record, first.forms)
         rated = scored(none, hypotheses)
     if _more_is_missing(none, rated):
-        more, pairs = _with_one_more(_first_picks(hypotheses), first.forms, _part(progress, 0.5, 0.8, "two effects"))
-        rounds += more
+        further, pairs = _with_one_more(_first_picks(hypotheses), first.forms, _part(progress, 0.5, 0.8, "two effects"))
+        rounds += further
         rated = _accepted(none, [*hypotheses, *pairs])
         if _more_is_missing(none, rated):
             pairs += _fitted_on(base, none, pairs, record, first.forms)
         hypotheses += pairs
         rated = _accepted(none, hypotheses)
         if _more_is_missing(none, rated) and len(rated[0].names) == 2 and rated[0].change is None:
-            more, triples = _with_one_more(
+            further, triples = _with_one_more(
                 [list(rated[0].trials)], first.forms, _part(progress, 0.8, 0.9, "three effects")
             )
-            rounds += more
+            rounds += further
             hypotheses += [*triples, *_recorrected(none, triples, record, first.forms)]
         hypotheses += _pruned(base, _accepted(none, hypotheses), first.forms)
-        more, exchanged = _exchanged(base, none, hypotheses, first, _part(progress, 0.85, 0.9, "rivals of the causes"))
-        rounds += more
+        further, exchanged = _exchanged(
+            base, none, hypotheses, first, _part(progress, 0.85, 0.9, "rivals of the causes")
+        )
+        rounds += further
         hypotheses += exchanged
         rated = _accepted(none, hypotheses)
         if _more_is_missing(none, rated):
@@ -173,7 +175,7 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
 
     Until here all have one error, of middling size, and with the response about the declared model.
     """
-    if none.last.problem.record_fits[0].model_error is None:
+    if none.last.record_fit.model_error is None:
         return none, list(rated)
     leading = [h for h in rated if h.admissible][: EFFORT.compared] + [h for h in rated if not h.admissible][
         : EFFORT.compared
@@ -185,9 +187,9 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
     return none, scored(none, judged)
 
 
-def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:
+def _part(progress: Progress, begin: float, end: float, label: str) -> Progress:
     """Progress of a part of the search."""
-    return lambda fraction, text: progress(begin + (end - begin) * fraction, f"{what}: {text}")
+    return lambda fraction, text: progress(begin + (end - begin) * fraction, f"{label}: {text}")
 
 
 def _changes(
@@ -209,7 +211,7 @@ def _changes(
         two where an effect explains the record to its noise
     """
     progress(0.45, "changes of the flight, the wall and the sensors")
-    record = base.problem.record_fits[0].record
+    record = base.record_fit.record
     changes = [
         *flight_changes(record, discrepancies), *lamp_changes(record), *wall_changes(record), *shape_changes(record),
         *sensor_changes(base),
@@ -220,14 +222,16 @@ def _changes(
         and not (c.free and (c.effect in explained or any(is_fitted(base, name) for name in c.free)))
     ]  # fmt: skip
     best = max((t.fit.log_likelihood - base.fit.log_likelihood for t in singles), default=0.0)
-    share, near_share = shares_beside_adequate if explained else change_shares
+    least_fraction, near_share = shares_beside_adequate if explained else change_shares
     fits = with_own_corrections(
-        before, base, fit_changes(base, changes, best, share=share, near_share=near_share, most=EFFORT.compared)
+        before,
+        base,
+        fit_changes(base, changes, best, share=least_fraction, near_share=near_share, most=EFFORT.compared),
     )
-    whole = before.problem.record_fits[0].record
+    stated = before.problem.record_fits[0].record
     tried = Counter(c.family for c in changes)
     return [
-        change_hypothesis(t, tried[t.change.family], motion_evidence(whole, t), contradicted_by_motion(whole, t))
+        change_hypothesis(t, tried[t.change.family], motion_evidence(stated, t), contradicted_by_motion(stated, t))
         for t in fits
         if t.change is not None
     ]
@@ -238,12 +242,12 @@ def _explaining(hypotheses: Sequence[Hypothesis]) -> set[str]:
     return {name for h in hypotheses if h.admissible and h.adequate for name in h.names}
 
 
-def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
+def _candidates(base: TrialFit, excluded: Sequence[str]) -> list[Candidate]:
     """All candidates on top of a model, over the samples that are fitted."""
-    record = base.problem.record_fits[0].record
+    record = base.record_fit.record
     flown = conditions_of_record(record)
-    fitted = [n.split(".")[1] for n in base.problem.record_fits[0].march_names if n.startswith(EFFECT_PREFIX)]
-    tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*taken, *fitted])
+    fitted = [n.split(".")[1] for n in base.record_fit.march_names if n.startswith(EFFECT_PREFIX)]
+    tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*excluded, *fitted])
     return [c for c in tried if not any(is_fitted(base, name) for name in c.model_names)]
 
 
@@ -381,7 +385,7 @@ def _exchanged(
     one is sought, as long as that finds a better model.
     """
     rounds: list[SearchRound] = []
-    more: list[Hypothesis] = []
+    exchanged: list[Hypothesis] = []
     rated = _accepted(none, hypotheses)
     for _ in range(EFFORT.rivals):
         if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
@@ -394,11 +398,11 @@ def _exchanged(
         stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
         seen, tried = _with_one_more(stacks, first.forms, progress)
         rounds += seen
-        more += tried
-        rated = _accepted(none, [*hypotheses, *more])
+        exchanged += tried
+        rated = _accepted(none, [*hypotheses, *exchanged])
         if set(rated[0].names) == set(best.names):
             break
-    return rounds, more
+    return rounds, exchanged
 
 
 def _in_simplest_form(trial: TrialFit, tried: Sequence[Candidate]) -> TrialFit:
@@ -416,15 +420,15 @@ def _first_picks(hypotheses: Sequence[Hypothesis]) -> list[list[TrialFit]]:
 
 
 def _fitted_on(
-    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
+    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], record: Record, forms: Mapping[str, int]
 ) -> list[Hypothesis]:
     """Hypotheses that explain most of the excess, fitted on: with their own mesh correction, and, where none of these
     explains the record, with an effect in a free form."""
-    more = _recorrected(none, hypotheses, whole, forms)
-    if not _explaining(more):
-        free = _free_forms(base, none, [*hypotheses, *more], forms)
-        more += [*free, *_recorrected(none, free, whole, forms)]
-    return more
+    fitted = _recorrected(none, hypotheses, record, forms)
+    if not _explaining(fitted):
+        free = _free_forms(base, none, [*hypotheses, *fitted], forms)
+        fitted += [*free, *_recorrected(none, free, record, forms)]
+    return fitted
 
 
 def _explaining_most(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -435,7 +439,7 @@ def _explaining_most(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list
 
 
 def _recorrected(
-    none: Hypothesis, hypotheses: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int], *, most: int = 4
+    none: Hypothesis, hypotheses: Sequence[Hypothesis], record: Record, forms: Mapping[str, int], *, most: int = 4
 ) -> list[Hypothesis]:
     """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess.
 
@@ -445,19 +449,19 @@ def _recorrected(
     for h in _explaining_most(none, hypotheses):
         if not h.adequate:
             leading.setdefault(frozenset(h.names), h)
-    return [hypothesis([*h.trials[:-1], recorrected(h.last, whole)], forms) for h in list(leading.values())[:most]]
+    return [hypothesis([*h.trials[:-1], recorrected(h.last, record)], forms) for h in list(leading.values())[:most]]
 
 
 def _free_forms(
     base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], forms: Mapping[str, int]
 ) -> list[Hypothesis]:
     """Hypotheses with one effect in a free form (free_forms.py), for those that explain most of the excess."""
-    wanted: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
+    tried: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
     for h in _explaining_most(none, hypotheses)[: EFFORT.causes]:
         for freed in h.trials:
             others = [t for t in h.trials if t is not freed]
             key = (freed.name, *sorted(t.name for t in others))
-            if freed.name not in FREE_FORMS or key in wanted:
+            if freed.name not in FREE_FORMS or key in tried:
                 continue
             values = fitted_values(h.last)
             candidate = free_form(base, freed, values)
@@ -465,17 +469,17 @@ def _free_forms(
                 continue
             stack = [base, *_stack_effects(base, others, values)]
             if np.isfinite(stack[-1].fit.log_likelihood):
-                wanted[key] = (stack, candidate, {**values, **candidate.start})
-    problems = [problem_with(stack[-1], c) for stack, c, _ in wanted.values()]
-    starts = [start_values(p, start) for p, (_, _, start) in zip(problems, wanted.values(), strict=True)]
+                tried[key] = (stack, candidate, {**values, **candidate.start})
+    problems = [problem_with(stack[-1], c) for stack, c, _ in tried.values()]
+    starts = [start_values(p, start) for p, (_, _, start) in zip(problems, tried.values(), strict=True)]
     fits = maximise_together(problems, starts, CONVERGE) if problems else []
-    more = []
-    for (stack, c, _), problem, fit in zip(wanted.values(), problems, fits, strict=True):
+    freed_hypotheses = []
+    for (stack, c, _), problem, fit in zip(tried.values(), problems, fits, strict=True):
         if np.isfinite(fit.log_likelihood):
             held_out = held_out_problem_with(stack[-1], c)
             trial = TrialFit(c.name, c, problem, held_out, fit, delta_bic(stack[-1], fit, c, 1.0))
-            more.append(hypothesis([*stack[1:], trial], forms))
-    return more
+            freed_hypotheses.append(hypothesis([*stack[1:], trial], forms))
+    return freed_hypotheses
 
 
 def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
@@ -487,9 +491,9 @@ def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress:
     best = next((h for h in rated if h.change is not None and h.admissible and len(h.names) == 1), None)
     if best is None or none.excess_chi2 - best.excess_chi2 < POLICY.min_explained * none.excess_chi2:
         return []
-    more = search_round(best.last, best.effects, progress)
-    refined = sorted(_refined(best.last, more, progress), key=lambda t: (not t.admissible, t.delta_bic))
-    hypotheses = [with_one_more(best, t, more.forms) for t in refined[: EFFORT.starts]]
+    of_round = search_round(best.last, best.effects, progress)
+    refined = sorted(_refined(best.last, of_round, progress), key=lambda t: (not t.admissible, t.delta_bic))
+    hypotheses = [with_one_more(best, t, of_round.forms) for t in refined[: EFFORT.starts]]
     return [h for h in hypotheses if h.adequate]
 
 
@@ -497,21 +501,21 @@ def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[
     """Effects one on top of the other on the base, each fitted from the values given."""
     stack = [base]
     for trial in effects:
-        below, own = stack[-1], {n: values[n] for n in trial.candidate.names}
+        below, start = stack[-1], {n: values[n] for n in trial.candidate.names}
         problem, held_out = problem_with(below, trial.candidate), held_out_problem_with(below, trial.candidate)
-        fit = maximise_together([problem], [start_values(problem, {**fitted_values(below), **own})], CONVERGE)[0]
+        fit = maximise_together([problem], [start_values(problem, {**fitted_values(below), **start})], CONVERGE)[0]
         delta = delta_bic(base, fit, trial.candidate, 1.0)
         stack.append(replace(trial, problem=problem, held_out=held_out, fit=fit, delta_bic=delta))
     return stack[1:]
 
 
-def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> SearchRound:
+def search_round(base: TrialFit, excluded: Sequence[str], progress: Progress) -> SearchRound:
     """Screen all candidates on top of the declared model, fit the promising ones, keep the best of each effect.
 
-    taken : names of the effects that are no candidates; where there are any, nor are errors of the table
+    excluded : names of the effects that are no candidates; where there are any, nor are errors of the table
     """
     progress(0.0, "screening candidates")
-    tried = [*_candidates(base, taken), *(table_candidates(base) if not taken else [])]
+    tried = [*_candidates(base, excluded), *(table_candidates(base) if not excluded else [])]
     gains = predicted_gains(base, tried)
     by_history = history_starts(base, tried)
     gains += gains_from(base, by_history)

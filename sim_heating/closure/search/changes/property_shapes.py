@@ -87,31 +87,36 @@ def shape_changes(record: Record) -> list[RecordChange]:
     """Shapes of the errors of the insulation's tables: conductivity and heat capacity in temperature, and conductivity
     in pressure, where its table has pressures and the flight passes through half a decade of them."""
     material = record.construction.layer_materials()[insulation_layer(record.construction)]
-    found = [_shape(record, e, TEMPERATURE, s) for e in (CONDUCTIVITY, HEAT_CAPACITY) for s in TEMPERATURE.spans]
+    shapes = [_shape(record, e, TEMPERATURE, s) for e in (CONDUCTIVITY, HEAT_CAPACITY) for s in TEMPERATURE.spans]
     if isinstance(material.conductivity_W_mK, PressureTable):
         p_Pa = np.maximum(conditions_of_record(record)["p_surface_Pa"], 1.0)
         if np.log10(np.max(p_Pa) / np.min(p_Pa)) > LEAST_DECADES:
-            found += [_shape(record, CONDUCTIVITY, PRESSURE, s) for s in PRESSURE.spans]
-    return found
+            shapes += [_shape(record, CONDUCTIVITY, PRESSURE, s) for s in PRESSURE.spans]
+    return shapes
 
 
 def _shape(record: Record, effect: str, axis: Axis, span: Span) -> RecordChange:
     """The shape of one property with one span."""
-    own = effect.replace("-", "_")
-    factor = point_of_record(record).definition(f"stack.rsi.{own}_factor")
-    name, sigma = f"{own}_change", float(np.sqrt(2.0)) * factor.sigma  # two factors that scatter independently
+    property_name = effect.replace("-", "_")
+    factor = point_of_record(record).definition(f"stack.rsi.{property_name}_factor")
+    name, sigma = (
+        f"{property_name}_change",
+        float(np.sqrt(2.0)) * factor.sigma,
+    )  # two factors that scatter independently
     parameter = Parameter(name, "1", 0.0, sigma, *axis.limits(span), f"change of the factor with {axis.name}")
-    what = f"{effect.replace('-', ' ')} of the insulation changes with {axis.name}"
+    text = f"{effect.replace('-', ' ')} of the insulation changes with {axis.name}"
     ends = f"between {span[0]:.3g} and {span[1]:.3g} {axis.suffix.replace('_', ' ')}"
 
     def near(fraction: float) -> Sequence[RecordChange]:
         return [_shape(record, effect, axis, s) for s in moved_ends(span, fraction, axis.shortest, axis.within)]
 
     return RecordChange(
-        "wall", what, parameter, partial(with_shape, effect=effect, axis=axis, span=span),
-        lambda change: f"{what} {ends} by {100.0 * change:+.0f} % of the declared one", effect=effect, form=what,
+        "wall", text, parameter, partial(with_shape, effect=effect, axis=axis, span=span),
+        lambda change: f"{text} {ends} by {100.0 * change:+.0f} % of the declared one", effect=effect, form=text,
         near=near, free=(factor.name,),
-        ends={f"{own}_{end}_{axis.suffix}": (x, axis.unit) for end, x in zip(("from", "to"), span, strict=True)},
+        ends={
+            f"{property_name}_{end}_{axis.suffix}": (x, axis.unit) for end, x in zip(("from", "to"), span, strict=True)
+        },
     )  # fmt: skip
 
 
@@ -134,10 +139,10 @@ def with_shape(record: Record, change: float, *, effect: str, axis: Axis, span: 
         k = k * (factor(np.log10(p_Pa)) if axis is PRESSURE else factor(T_K)[:, np.newaxis])
         changed = material.model_copy(update={"conductivity_W_mK": _conductivity_table(material, p_Pa, T_K, k)})
     # a material of its own: another layer of the same one stays as it is
-    own = f"{layer.material}, {name}"
+    changed_name = f"{layer.material}, {name}"
     layers = [*stack.layer]
-    layers[number] = layer.model_copy(update={"material": own, "name": name})
-    return with_layers(record, layers, {**record.declared.materials, own: changed})
+    layers[number] = layer.model_copy(update={"material": changed_name, "name": name})
+    return with_layers(record, layers, {**record.declared.materials, changed_name: changed})
 
 
 def _conductivity_over(

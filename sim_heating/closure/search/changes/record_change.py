@@ -76,16 +76,16 @@ class _ChangedModel:
 
     def start(self, value: float, *, declared: bool = False) -> FloatArray:
         """Vector of the base's estimates, or of its declared values, and a value of the change."""
-        own = np.array([p.value for p in self.base.problem.parameters]) if declared else self.base.fit.values
-        return own if self.change.parameter is None else np.append(own, value)
+        first = np.array([p.value for p in self.base.problem.parameters]) if declared else self.base.fit.values
+        return first if self.change.parameter is None else np.append(first, value)
 
     def problem(self, value: float) -> FitProblem:
         """The base's problem on the record changed by a value."""
         if self.change.parameter is not None and value == self.change.neutral:
             return self.base.problem
         if value not in self._problems:
-            part = self.base.problem.record_fits[0]
-            problem = problem_over(self.base, part, self.change.apply(part.record, value), part.names)
+            record_fit = self.base.record_fit
+            problem = problem_over(self.base, record_fit, self.change.apply(record_fit.record, value), record_fit.names)
             problem.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[0]
             self._problems[value] = problem
         return self._problems[value]
@@ -100,15 +100,17 @@ class _ChangedModel:
         if self.change.parameter is None:
             return [(self.problem(value), values)]
         self._problems = {v: p for v, p in self._problems.items() if v == value}
-        whole = self.problem(value)
-        part = whole.record_fits[0]
-        changed = self.change.apply(self.base.problem.record_fits[0].record, self._stepped(value))
+        problem = self.problem(value)
+        record_fit = problem.record_fits[0]
+        changed = self.change.apply(self.base.record_fit.record, self._stepped(value))
         # its temperatures alone are needed: the march has no sensitivities
-        self._moved = problem_over(self.base, part, changed, part.sensor_names)
+        self._moved = problem_over(self.base, record_fit, changed, record_fit.sensor_names)
         moved = self._moved.record_fits[0]
         # of the changed wall, at the same parameters
-        moved.model = moved.model.with_parameters(dict(zip(part.march_names, values[part.index], strict=False)))
-        return [(whole, values), (self._moved, values[len(part.march_names) :])]
+        moved.model = moved.model.with_parameters(
+            dict(zip(record_fit.march_names, values[record_fit.index], strict=False))
+        )
+        return [(problem, values), (self._moved, values[len(record_fit.march_names) :])]
 
     def _stepped(self, value: float) -> float:
         """A value one step away, within the bounds."""
@@ -122,15 +124,15 @@ class _ChangedModel:
         stepped, moved = self._stepped(value), samples
         if self.change.parameter is not None:
             moved = self._moved.samples(values[len(samples[0].record_fit.march_names) :])
-        part, by_channel = self.problem(value).record_fits[0], []
+        record_fit, by_channel = self.problem(value).record_fits[0], []
         for s, t in zip(samples, moved, strict=True):
-            own = np.zeros((len(s.mean_K), m))
-            own[:, s.record_fit.index] = s.sensitivity
+            jacobian = np.zeros((len(s.mean_K), m))
+            jacobian[:, s.record_fit.index] = s.sensitivity
             if self.change.parameter is not None:
-                own[:, -1] = _moved_K(s.mean_K, s.channel, t.mean_K, t.channel) / (stepped - value)
-            by_channel.append(own)
-        sensitivity, scored = np.concatenate(by_channel), scored_readings(part, [s.mean_K for s in samples])
-        total = part.known_log_likelihood + scored.log_likelihood
+                jacobian[:, -1] = _moved_K(s.mean_K, s.channel, t.mean_K, t.channel) / (stepped - value)
+            by_channel.append(jacobian)
+        sensitivity, scored = np.concatenate(by_channel), scored_readings(record_fit, [s.mean_K for s in samples])
+        total = record_fit.known_log_likelihood + scored.log_likelihood
         return Evaluation(total, scored.score @ sensitivity, scored.information(sensitivity))
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
@@ -161,8 +163,8 @@ class _ChangedModel:
         """The changed record's samples held out; None where there are none."""
         if self.base.held_out is None:
             return None
-        part = self.base.held_out.record_fits[0]
-        return problem_over(self.base, part, changed(part.record), names or part.names, held_out=True)
+        record_fit = self.base.held_out.record_fits[0]
+        return problem_over(self.base, record_fit, changed(record_fit.record), names or record_fit.names, held_out=True)
 
 
 class _EstimatedModel(_ChangedModel):
@@ -172,10 +174,10 @@ class _EstimatedModel(_ChangedModel):
 
     def __init__(self, base: TrialFit, change: RecordChange) -> None:
         super().__init__(base, change)
-        part = base.problem.record_fits[0]
+        record_fit = base.record_fit
         # a parameter of the march is the last of these; those of clock and sensors follow
-        self._names = (*part.names, self.parameters[-1].name)
-        self._problem = problem_over(base, part, part.record, self._names)
+        self._names = (*record_fit.names, self.parameters[-1].name)
+        self._problem = problem_over(base, record_fit, record_fit.record, self._names)
         self._order = np.array([self._names.index(n) for n in self._problem.record_fits[0].names])
         self._place = np.argsort(self._order)
 
@@ -206,13 +208,13 @@ class _EstimatedModel(_ChangedModel):
 
 def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
     """A trial with more parameters of its model free, at their nominal values; itself where they are free already."""
-    own = base.problem.record_fits[0].names
-    if all(name in own for name in names):
+    fitted = base.record_fit.names
+    if all(name in fitted for name in names):
         return base
 
     def freed(problem: FitProblem) -> FitProblem:
-        part, held_out = problem.record_fits[0], problem is base.held_out
-        return problem_over(base, part, part.record, (*own, *names), held_out=held_out)
+        record_fit, held_out = problem.record_fits[0], problem is base.held_out
+        return problem_over(base, record_fit, record_fit.record, (*fitted, *names), held_out=held_out)
 
     problem = freed(base.problem)
     values = start_values(problem, fitted_values(base))
@@ -227,14 +229,14 @@ def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
 
 
 def problem_over(
-    base: TrialFit, part: RecordFit, record: Record, names: Sequence[str], *, held_out: bool = False
+    base: TrialFit, record_fit: RecordFit, record: Record, names: Sequence[str], *, held_out: bool = False
 ) -> FitProblem:
     """The base's problem over another record.
 
-    part : of the base's, with noise and mesh correction;  names : of the unknowns
+    record_fit : of the base's, with noise and mesh correction;  names : of the unknowns
     """
-    more = {"sample_masks": [record.holdout_mask()]} if held_out else {}
-    return candidate_problem(base, replace(part, record=record), NO_EFFECT, names, prior_scale=WIDENED, **more)
+    samples = {"sample_masks": [record.holdout_mask()]} if held_out else {}
+    return candidate_problem(base, replace(record_fit, record=record), NO_EFFECT, names, prior_scale=WIDENED, **samples)
 
 
 def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, moved: FittedChannel) -> FloatArray:
@@ -277,9 +279,9 @@ def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -
     minus infinity where a march failed."""
 
     def of_share(chosen: Sequence[int]) -> list[tuple[float, float]]:
-        own, starts = [models[k] for k in chosen], [vectors[k] for k in chosen]
+        shared, starts = [models[k] for k in chosen], [vectors[k] for k in chosen]
         gains = []
-        for model, at, here in zip(own, starts, _evaluate_together(own, starts), strict=True):
+        for model, at, here in zip(shared, starts, _evaluate_together(shared, starts), strict=True):
             reached = here.log_likelihood
             step = gain_of_step(model.parameters, at, here)
             gains.append((reached + step, reached) if np.isfinite(reached) else (-np.inf, -np.inf))
@@ -316,9 +318,9 @@ def _best_starts(
         i for i, m in enumerate(models) if base.excess_chi2 > gross_excess and m.change.kind == "sensor" and not m.exact
     ]
     others = [models[i].start(starts[i][1], declared=True) for i in gross]
-    for i, vector, own in zip(gross, others, _predicted([models[i] for i in gross], others), strict=True):
-        if own[1] > predicted[i][1]:
-            vectors[i], predicted[i] = vector, own
+    for i, vector, reached in zip(gross, others, _predicted([models[i] for i in gross], others), strict=True):
+        if reached[1] > predicted[i][1]:
+            vectors[i], predicted[i] = vector, reached
     best: dict[int, int] = {}
     for i, (k, _) in enumerate(starts):
         if k not in best or predicted[i][0] > predicted[best[k]][0]:
@@ -414,13 +416,13 @@ def _recorrected(before: FitResult, base: TrialFit, trial: TrialFit) -> TrialFit
 
     The fit as it is where the whole record cannot be marched there.
     """
-    change, fit, part = trial.change, trial.whole_fit, trial.problem.record_fits[0]
+    change, fit, record_fit = trial.change, trial.whole_fit, trial.record_fit
     assert change is not None
     assert fit is not None
-    names = [n for n in part.names if n not in trial.estimates]
+    names = [n for n in record_fit.names if n not in trial.estimates]
     try:
         record = change.apply(before.problem.record_fits[0].record, trial.value)
-        thin = part.record if not change.in_model else change.apply(part.record, trial.value)
+        thin = record_fit.record if not change.in_model else change.apply(record_fit.record, trial.value)
         correction = own_thinning_error(trial, record, thin, names)
     except CANNOT_BE:
         return trial
@@ -509,8 +511,8 @@ def _maximise(
     def of_fractions(vectors: Mapping[int, FloatArray]) -> list[FloatArray]:
         return [models[k].log_likelihoods(v) for k, v in vectors.items()]  # one after another: models share a problem
 
-    def of_some(numbers: Iterator[int], together: int) -> dict[int, Fit]:
-        return iterate_together(searches, numbers, together, evaluate, of_fractions)
+    def of_some(numbers: Iterator[int], count: int) -> dict[int, Fit]:
+        return iterate_together(searches, numbers, count, evaluate, of_fractions)
 
     return in_turn(of_some, len(models))
 

@@ -52,22 +52,25 @@ def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[flo
     The base's own sensitivities are used for all of them, since a candidate has no or little effect at its start, and
     its priors: what a candidate gains is gained of likelihood and prior density together.
     """
-    known = np.concatenate([s.sensitivity for s in base.problem.samples(base.fit.values)])
+    sensitivity = np.concatenate([s.sensitivity for s in base.problem.samples(base.fit.values)])
     limit = _largest_gain(base)
     return in_shares(
-        lambda chosen: _predicted_gains(base, [candidates[k] for k in chosen], known, limit), len(candidates)
+        lambda chosen: _predicted_gains(base, [candidates[k] for k in chosen], sensitivity, limit), len(candidates)
     )
 
 
-def _predicted_gains(base: TrialFit, candidates: Sequence[Candidate], known: FloatArray, limit: float) -> list[float]:
+def _predicted_gains(
+    base: TrialFit, candidates: Sequence[Candidate], sensitivity: FloatArray, limit: float
+) -> list[float]:
     """Predicted gain of each candidate.
 
-    known : (sample, parameter) sensitivities of the base [K over the unit];  limit : largest gain of any model [-]
+    sensitivity : (sample, parameter) sensitivities of the base [K over the unit]
+    limit       : largest gain of any model [-]
     """
-    part, start = base.problem.record_fits[0], fitted_values(base)
-    fixed = {n: start[n] for n in part.march_names if not n.startswith(EFFECT_PREFIX)}
+    record_fit, start = base.record_fit, fitted_values(base)
+    fixed = {n: start[n] for n in record_fit.march_names if not n.startswith(EFFECT_PREFIX)}
     problems = [
-        candidate_problem(base, part, c, tuple(dict.fromkeys((*part.sensor_names, *c.active))), fixed=fixed)
+        candidate_problem(base, record_fit, c, tuple(dict.fromkeys((*record_fit.sensor_names, *c.active))), fixed=fixed)
         for c in candidates
     ]
     firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, candidates, strict=True)]
@@ -76,8 +79,10 @@ def _predicted_gains(base: TrialFit, candidates: Sequence[Candidate], known: Flo
     gains = []
     for candidate, problem, first, done in zip(candidates, problems, firsts, marched, strict=True):
         # a parameter of the base that a candidate frees of its prior is the candidate's own
-        inner = [k for k, n in enumerate(part.names) if n not in part.sensor_names and n not in candidate.active]
-        prior = _KnownPart(known[:, inner], base.fit.prior_information[inner], (mean - base.fit.values)[inner])
+        inner = [
+            k for k, n in enumerate(record_fit.names) if n not in record_fit.sensor_names and n not in candidate.active
+        ]
+        prior = _KnownPart(sensitivity[:, inner], base.fit.prior_information[inner], (mean - base.fit.values)[inner])
         begin, reached = _predicted_likelihoods(problem, first, prior, scored) if done else (-np.inf, -np.inf)
         gains.append(min(reached - base.fit.log_likelihood, limit + min(begin - base.fit.log_likelihood, 0.0)))
     return gains
@@ -159,22 +164,22 @@ class _ScoreCache(dict[bytes, ScoredReadings]):
 
 
 def _predicted_likelihoods(
-    problem: FitProblem, first: FloatArray, known: _KnownPart, scored: _ScoreCache
+    problem: FitProblem, first: FloatArray, of_base: _KnownPart, scored: _ScoreCache
 ) -> tuple[float, float]:
     """Log likelihood at the start, and after a Gauss-Newton step with what the base gains of its prior density."""
     channels = problem.samples(first)
     readings = scored.score(channels)
-    own = np.concatenate([s.sensitivity for s in channels])
-    gradient, information = readings.score @ own, readings.weight @ own**2
+    sensitivity = np.concatenate([s.sensitivity for s in channels])
+    gradient, information = readings.score @ sensitivity, readings.weight @ sensitivity**2
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
     # A parameter that starts on its bound and is pushed beyond it cannot contribute to the gain.
     on_bound = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
-    J = np.column_stack([known.sensitivity, own[:, ~on_bound & (information > 0.0)]])
+    J = np.column_stack([of_base.sensitivity, sensitivity[:, ~on_bound & (information > 0.0)]])
     M, g = readings.information(J), J.T @ readings.score
-    count = len(known.prior_information)
-    M[range(count), range(count)] += known.prior_information
-    g[:count] += known.prior_information * known.to_mean
+    count = len(of_base.prior_information)
+    M[range(count), range(count)] += of_base.prior_information
+    g[:count] += of_base.prior_information * of_base.to_mean
     return readings.log_likelihood, readings.log_likelihood + predicted_gain(g, covariance(M))
 
 
@@ -224,17 +229,17 @@ def fit_in_stages(
     starts = [{**fitted_values(b), **c.start} for b, c in zip(bases, candidates, strict=True)]
     fits = maximise_together(problems, [start_values(*p) for p in zip(problems, starts, strict=True)], STAGES[0][1])
     history = [gains_over(fits, reached)]
-    for stage, (share, settings) in enumerate(STAGES[1:], start=1):
+    for stage, (fraction, settings) in enumerate(STAGES[1:], start=1):
         gains, next_step = history[-1], np.array([f.predicted_gain for f in fits])
         best = float(np.max(gains, initial=0.0))
-        goes_on = gains >= share * best
+        goes_on = gains >= fraction * best
         if stage == 1:
             # Patience at first: on a curved ridge between the size of an effect and the magnitude of the table the
             # first steps gain little.
             goes_on |= (np.array(predicted) >= min_predicted * best) | (gains + STEPS_AHEAD * next_step >= best)
             for name in set(names):
-                own = [k for k, n in enumerate(names) if n == name]
-                leads = max(own, key=lambda k: gains[k])
+                of_name = [k for k, n in enumerate(names) if n == name]
+                leads = max(of_name, key=lambda k: gains[k])
                 goes_on[leads] |= gains[leads] >= POLICY.min_of_best * best
         elif stage == 2:
             goes_on &= gains + STEPS_AHEAD * next_step >= best - POLICY.gain_margin
@@ -257,5 +262,5 @@ def _extrapolated(history: Sequence[FloatArray]) -> FloatArray:
     """(fit,) where gains end if each stage adds the same fraction of the one before it, with twice that allowed."""
     with np.errstate(invalid="ignore", divide="ignore"):
         before, last = history[-2] - history[-3], history[-1] - history[-2]
-        more = np.where(last < before, last**2 / (before - last), np.where(last > 0.0, np.inf, 0.0))
-    return history[-1] + 2.0 * np.nan_to_num(more, nan=np.inf, posinf=np.inf)
+        remaining = np.where(last < before, last**2 / (before - last), np.where(last > 0.0, np.inf, 0.0))
+    return history[-1] + 2.0 * np.nan_to_num(remaining, nan=np.inf, posinf=np.inf)
