@@ -440,14 +440,20 @@ def joint_closure_of(
         after[i] = prediction
     estimated = {} if fitted is None else estimates_of(fitted.problem, fitted.fit, fitted.bounds.sigma)
     shares = posteriors({" + ".join(h.names): h.score for h in search.hypotheses if h.admissible} | {NONE: 0.0})
-    rows = [(NONE, search.none), *((" + ".join(h.names), h) for h in search.hypotheses)]
+    none = _candidate_score(NONE, 0.0, search.none.by_record, shares)
     not_effects = _common_not_effects(best, estimated) if search.explained else []
     return JointClosure(
         closures=closures,
         search=search,
         effects=_findings(search, estimated),
         statement=_statement(search, fitted, not_effects, _experiments(closures, conclusion.alternatives)),
-        candidates=[_candidate_score(n, h.delta_bic(search.none), h.by_record, shares) for n, h in rows],
+        candidates=[
+            none,
+            *(
+                _candidate_score(" + ".join(h.names), h.delta_bic(search.none), h.by_record, shares)
+                for h in search.hypotheses
+            ),
+        ],
         parameters=estimated,
         after=after,
         warnings=() if fitted is None else _warnings(fitted),

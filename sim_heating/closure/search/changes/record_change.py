@@ -20,12 +20,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
 from sim_heating.closure.search.trials.candidates import NO_EFFECT
 from sim_heating.closure.search.trials.change import RecordChange
-from sim_heating.closure.search.trials.screening import STEPS_AHEAD, gain_of_step, gains_over
+from sim_heating.closure.search.trials.screening import Stage, fit_staged, gain_of_step, gains_ahead, gains_over
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     WIDENED,
@@ -46,8 +46,6 @@ from sim_heating.estimation.record_fit import FittedChannel, RecordFit
 from sim_heating.estimation.side_by_side import JointMarch, iterate_together, maximise_together
 from sim_heating.inputs.record import Record
 
-NEARLY = 0.95
-"""Part of the best gain from which on the ends of a change are searched further, each time with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
 CANNOT_BE = (InputError, RunError)
@@ -336,6 +334,7 @@ def fit_changes(
     share: float = POLICY.min_promised,
     near_share: float = POLICY.min_promised,
     most: int | None = None,
+    nearly: float = 0.95,
 ) -> list[TrialFit]:
     """Fit a model to its record with each change that promises enough, all side by side.
 
@@ -345,11 +344,12 @@ def fit_changes(
                 that predicts less than its unknowns cost
     near_share: the same for a change with ends, which gains more where they are moved
     most      : how many without ends are fitted, those that predict most; all by default
+    nearly    : part of the best gain from which on the ends of a change are searched further, each time with a fit
     returns   : fits, the lowest BIC first, one of each form; changes that cannot be marched are left out
     raises    : InputError where a change has a parameter without a finite standard deviation
     """
 
-    def asked(change: RecordChange) -> float:
+    def least_fraction(change: RecordChange) -> float:
         if change.parameter is None:
             return min(share, POLICY.min_of_best)
         return share if change.near is None else near_share
@@ -361,7 +361,7 @@ def fit_changes(
         # what an effect names competes with it under that name: a step ahead promises too little of a shift in time
         form, least = (
             change.form or change.what,
-            min(asked(change), POLICY.min_of_best if change.effect else 1.0) * largest,
+            min(least_fraction(change), POLICY.min_of_best if change.effect else 1.0) * largest,
         )
         if gain > max(least, 0.5 * np.log(n) * change.unknowns - POLICY.gain_margin) and (
             form not in best or gain > best[form][0]
@@ -370,28 +370,30 @@ def fit_changes(
     leading = sorted((gain for gain, model, _ in best.values() if model.change.near is None), reverse=True)[:most]
     best = {form: b for form, b in best.items() if b[1].change.near is not None or b[0] in leading}
     models = [model for _, model, _ in best.values()]
-    fits = _maximise(models, [start for _, _, start in best.values()], replace(QUICK, iterations=5))
-    gains = gains_over(fits, base.fit.log_likelihood)
-    reached = max([best_gain, *gains])
-    # Predictions are linear and promise too much: after some steps those that stay far behind are not fitted on.
-    going = [
-        k for k, f in enumerate(fits) if gains[k] + STEPS_AHEAD * f.predicted_gain > asked(models[k].change) * reached
-    ]
-    for k, fit in zip(going, _maximise([models[k] for k in going], [fits[k].values for k in going]), strict=True):
-        fits[k] = fit
+    fractions = np.array([least_fraction(m.change) for m in models])
+
+    def promising(history: Sequence[FloatArray], fits: Sequence[Fit]) -> BoolArray:
+        # Predictions are linear and promise too much: after some steps those that stay far behind are not fitted on.
+        return np.asarray(gains_ahead(history[-1], fits) > fractions * max([best_gain, *history[-1]]))
+
+    def maximise(numbers: Sequence[int], vectors: Sequence[FloatArray], settings: NewtonSettings) -> list[Fit]:
+        return _maximise([models[k] for k in numbers], vectors, settings)
+
+    vectors, few = [start for _, _, start in best.values()], replace(QUICK, iterations=5)
+    fits = fit_staged(maximise, vectors, few, [Stage(QUICK, promising)], base.fit.log_likelihood)
     gains = gains_over(fits, base.fit.log_likelihood)
     reached = max([best_gain, *gains])
     with_ends = [k for k, m in enumerate(models) if m.change.near is not None]
     _move_ends(models, fits, [k for k in with_ends if gains[k] > near_share * reached])
     gains = gains_over(fits, base.fit.log_likelihood)
     largest = max([share * best_gain, *gains])
-    _move_ends(models, fits, [k for k in with_ends if gains[k] > NEARLY * largest], EFFORT.rivals)
+    _move_ends(models, fits, [k for k in with_ends if gains[k] > nearly * largest], EFFORT.rivals)
     trials = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
     return sorted((f for f in trials if f is not None), key=lambda f: f.delta_bic)
 
 
 def with_own_corrections(
-    before: FitResult, base: TrialFit, fits: Sequence[TrialFit], *, min_excess: float = 1.0
+    before: FitResult, base: TrialFit, fits: Sequence[TrialFit], *, min_excess: float = 1.0, nearly: float = 0.95
 ) -> list[TrialFit]:
     """Fits of changes, the leading ones with the mesh correction of their own record.
 
@@ -401,12 +403,12 @@ def with_own_corrections(
     The correction at the declared model is of another wall, or at estimates that a wrong sensor distorts.
 
     min_excess : excess chi-square of the declared model from which on the leading changes have the mesh correction of
-        their own record; those with a parameter where they gain nearly as much as the best
+        their own record; those with a parameter where they gain the part `nearly` of the best
     """
     if base.excess_chi2 < min_excess:
         return list(fits)
     best = min((f.delta_bic for f in fits), default=0.0)
-    leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < NEARLY * best or not f.estimates]
+    leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < nearly * best or not f.estimates]
     trials = [f if f not in leading else _recorrected(before, base, f) for f in fits]
     return sorted(trials, key=lambda f: f.delta_bic)
 

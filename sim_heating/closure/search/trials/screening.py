@@ -6,13 +6,13 @@ best starts of each are then fitted side by side, and those that fall behind are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.parallel.processes import in_shares
 from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
 from sim_heating.closure.search.trials.candidates import Candidate, Form
@@ -28,20 +28,10 @@ from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.error_likelihood import ScoredReadings, scored_readings
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import likelihood
-from sim_heating.estimation.inference.newton import Evaluation, Fit, Status
+from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
-
-# A hundred starts screened by their sensitivities cost about as much as one fit; most of the time goes into the fits
-# that follow, hence their stages.
-STAGES = (
-    (0.0, replace(QUICK, iterations=4)), (0.9, replace(QUICK, iterations=8)), (0.5, replace(QUICK, iterations=8)),
-    (0.8, QUICK),
-)  # fmt: skip
-"""Part of the best gain that a candidate has to have reached to enter the stage, and the settings of the stage."""
-STEPS_AHEAD = 3.0
-"""A candidate also goes on where this many steps like its next one would make it the best; one in the last stage."""
 
 
 def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
@@ -205,6 +195,43 @@ def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n
     return selected
 
 
+class Stage(NamedTuple):
+    """A stage of a staged fit.
+
+    settings : of the fits in it
+    enters   : from the (fit,) gains after each stage so far [-] and the fits, (fit,) which of them go on
+    """
+
+    settings: NewtonSettings
+    enters: Callable[[Sequence[FloatArray], Sequence[Fit]], BoolArray]
+
+
+def fit_staged(
+    maximise: Callable[[Sequence[int], Sequence[FloatArray], NewtonSettings], list[Fit]],
+    starts: Sequence[FloatArray],
+    settings: NewtonSettings,
+    stages: Sequence[Stage],
+    reached: float,
+) -> list[Fit]:
+    """Fit all models a few steps, and the promising ones further in each stage.
+
+    maximise : fits of models, by their numbers, from (parameter,) vectors, side by side
+    starts   : (model,) vectors to start from;  settings : of the first steps, which all models take
+    reached  : log likelihood that gains are over [-]
+
+    A hundred starts screened by their sensitivities cost about as much as one fit; most of the time of a search goes
+    into the fits that follow, hence their stages.
+    """
+    fits = maximise(range(len(starts)), starts, settings)
+    history = [gains_over(fits, reached)]
+    for stage in stages:
+        chosen = [int(k) for k in np.flatnonzero(stage.enters(history, fits))]
+        for k, fit in zip(chosen, maximise(chosen, [fits[k].values for k in chosen], stage.settings), strict=True):
+            fits[k] = fit
+        history.append(gains_over(fits, reached))
+    return fits
+
+
 def fit_in_stages(
     bases: Sequence[TrialFit],
     candidates: Sequence[Candidate],
@@ -212,6 +239,7 @@ def fit_in_stages(
     reached: float,
     *,
     by_effect: bool = False,
+    fractions: tuple[float, float, float] = (0.9, 0.5, 0.8),
     min_predicted: float = 0.8,
 ) -> list[TrialFit]:
     """Fit all candidates a few steps, the promising ones further, and to the end those that can still be the best.
@@ -221,36 +249,59 @@ def fit_in_stages(
     reached   : log likelihood that gains are over: of the likeliest base
     by_effect : whether the best fit of each effect goes on with half the gain of the best of all
     returns   : by candidate, its trial, without samples held out
+    fractions : of the best gain, that a candidate has to have reached to enter each stage after the first
     min_predicted : a candidate also enters the second stage with a gain, predicted at its start, of this part of the
         best
     """
-    names = [c.name for c in candidates] if by_effect else []
     problems = [problem_with(b, c) for b, c in zip(bases, candidates, strict=True)]
     starts = [{**fitted_values(b), **c.start} for b, c in zip(bases, candidates, strict=True)]
-    fits = maximise_together(problems, [start_values(*p) for p in zip(problems, starts, strict=True)], STAGES[0][1])
-    history = [gains_over(fits, reached)]
-    for stage, (fraction, settings) in enumerate(STAGES[1:], start=1):
-        gains, next_step = history[-1], np.array([f.predicted_gain for f in fits])
-        best = float(np.max(gains, initial=0.0))
-        goes_on = gains >= fraction * best
-        if stage == 1:
-            # Patience at first: on a curved ridge between the size of an effect and the magnitude of the table the
-            # first steps gain little.
-            goes_on |= (np.array(predicted) >= min_predicted * best) | (gains + STEPS_AHEAD * next_step >= best)
-            for name in set(names):
-                of_name = [k for k, n in enumerate(names) if n == name]
-                leads = max(of_name, key=lambda k: gains[k])
-                goes_on[leads] |= gains[leads] >= POLICY.min_of_best * best
-        elif stage == 2:
-            goes_on &= gains + STEPS_AHEAD * next_step >= best - POLICY.gain_margin
-        else:
-            goes_on &= np.minimum(_extrapolated(history), gains + next_step) >= best - POLICY.gain_margin
-        chosen = [k for k in range(len(fits)) if goes_on[k] and fits[k].status is Status.ITERATIONS]
-        continued = maximise_together([problems[k] for k in chosen], [fits[k].values for k in chosen], settings)
-        for k, fit in zip(chosen, continued, strict=True):
-            fits[k] = fit
-        history.append(gains_over(fits, reached))
+    names = [c.name for c in candidates] if by_effect else []
+
+    def promising(history: Sequence[FloatArray], fits: Sequence[Fit]) -> BoolArray:
+        # Patience at first: on a curved ridge between the size of an effect and the magnitude of the table the first
+        # steps gain little.
+        gains, best = history[-1], _best(history)
+        enters = (gains >= fractions[0] * best) | (np.array(predicted) >= min_predicted * best)
+        enters |= gains_ahead(gains, fits) >= best
+        for name in set(names):
+            leads = max((k for k, n in enumerate(names) if n == name), key=lambda k: gains[k])
+            enters[leads] |= gains[leads] >= POLICY.min_of_best * best
+        return enters & _unfinished(fits)
+
+    def near(history: Sequence[FloatArray], fits: Sequence[Fit]) -> BoolArray:
+        gains, best = history[-1], _best(history)
+        leading = (gains >= fractions[1] * best) & (gains_ahead(gains, fits) >= best - POLICY.gain_margin)
+        return np.asarray(leading & _unfinished(fits))
+
+    def can_be_best(history: Sequence[FloatArray], fits: Sequence[Fit]) -> BoolArray:
+        gains, best = history[-1], _best(history)
+        ends = np.minimum(_extrapolated(history), gains_ahead(gains, fits, steps=1.0))
+        leading = (gains >= fractions[2] * best) & (ends >= best - POLICY.gain_margin)
+        return np.asarray(leading & _unfinished(fits))
+
+    def maximise(numbers: Sequence[int], vectors: Sequence[FloatArray], settings: NewtonSettings) -> list[Fit]:
+        return maximise_together([problems[k] for k in numbers], vectors, settings)
+
+    few, more_steps = replace(QUICK, iterations=4), replace(QUICK, iterations=8)
+    stages = [Stage(more_steps, promising), Stage(more_steps, near), Stage(QUICK, can_be_best)]
+    vectors = [start_values(*p) for p in zip(problems, starts, strict=True)]
+    fits = fit_staged(maximise, vectors, few, stages, reached)
     return [TrialFit(c.name, c, p, None, f) for c, p, f in zip(candidates, problems, fits, strict=True)]
+
+
+def _best(history: Sequence[FloatArray]) -> float:
+    """Largest gain after the last stage, 0 at least [-]."""
+    return float(np.max(history[-1], initial=0.0))
+
+
+def _unfinished(fits: Sequence[Fit]) -> BoolArray:
+    """(fit,) whether a fit ended for the number of its steps alone."""
+    return np.array([f.status is Status.ITERATIONS for f in fits], dtype=bool)
+
+
+def gains_ahead(gains: FloatArray, fits: Sequence[Fit], *, steps: float = 3.0) -> FloatArray:
+    """(fit,) gains after a number of further steps like the next one [-]."""
+    return np.asarray(gains + steps * np.array([f.predicted_gain for f in fits]))
 
 
 def gains_over(fits: Sequence[Fit], base: float) -> FloatArray:
