@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX
 from sim_heating.closure.revise.evidence import OF_START, fitted_use, is_effect
+from sim_heating.closure.revise.revision_file import HeldFit, holds
 from sim_heating.closure.revise.update import TableUpdate
 from sim_heating.estimation.record_fit import marched_from, sensor_errors
 from sim_heating.estimation.report.estimate_file import FittedStart
@@ -26,8 +27,6 @@ from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.predict import predict
 
-HELD = 1.15
-"""Error with the new table over that of the fit [-] up to which the table counts as holding the fit."""
 REST = "the form of its ratio between nodes, and heating of which nothing was read"
 """What is left where all else is added."""
 NOT_MARCHED = (EFFECT_PREFIX, SENSOR_PREFIX, OF_START, *RECORD_PARAMETERS)
@@ -81,30 +80,6 @@ def rmse_with_tables_K(record: Record, vehicle: Vehicle, start: FittedStart | No
 # What the tables hold of the fit --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class HeldFit:
-    """How well the new tables hold a fit, on the fitted samples of one of its records.
-
-    noise_floor_K  : of the record [K]
-    fit_K          : RMSE of the fit [K]
-    before_K, after_K : with the tables before and after [K], from the start of the fit
-    from_entry_K   : with the new tables from the first row of the conditions on [K]
-    not_held       : what else the fit has -> by how much it would reduce the error, as a root of squares [K]
-    """
-
-    noise_floor_K: float
-    fit_K: float
-    before_K: float
-    after_K: float
-    from_entry_K: float
-    not_held: dict[str, float]
-
-    @property
-    def is_held(self) -> bool:
-        """Whether the error with the new tables is that of the fit, to HELD."""
-        return self.after_K <= HELD * self.fit_K
-
-
 def held_fits(update: TableUpdate) -> dict[str, HeldFit]:
     """Record of the estimate -> how well the new tables hold the fit of it."""
     starts = update.estimate.starts or [None] * len(update.records)
@@ -136,7 +111,7 @@ def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None, *,
     after_K = rmse_K(*models["after"])
     from_entry_K = after_K if start is None else rmse_K(*models["after"], begin=None)
     causes: dict[str, float] = {}
-    if not after_K <= HELD * fit_K:
+    if not holds(after_K, fit_K):
         missing = list(_missing(update, parameters, readings))
         for m in missing:
             causes[m.what] = _reduction(after_K, rmse_K(*_with(models["after"], fit, [m]), **m.of_readings))
@@ -146,7 +121,10 @@ def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None, *,
     if start is not None and (loss := _reduction(from_entry_K, after_K)) > least_loss * from_entry_K:
         named[f"heating before {start.time_s:g} s, where the fit begins"] = loss
     before_K = rmse_K(*models["before"])
-    return HeldFit(record.noise_floor_K(), fit_K, before_K, after_K, from_entry_K, named)
+    return HeldFit(
+        noise_floor_K=record.noise_floor_K(), fit_K=fit_K, before_K=before_K, after_K=after_K,
+        from_entry_K=from_entry_K, not_held=named,
+    )  # fmt: skip
 
 
 class _Missing(NamedTuple):

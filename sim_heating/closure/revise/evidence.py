@@ -138,36 +138,17 @@ def flight_evidence(
     raises    : InputError where the ratio is over another reference heating, the path leaves the table, or the records
                 are not those of the estimate
     """
-    if not estimate.converged:
-        raise InputError(
-            "the estimate did not converge, so nothing of it goes into a table; estimate again with fewer parameters"
-        )
-    if point.ratio.sigma is None:
-        raise InputError(f"{point.declared.ratio_table}: has no sigma column to weigh the flight against; add one")
-    names = ratio_names(estimate)
-    others = [n for n in estimate.parameters if n not in names]
-    effects = any(is_effect(n) for n in others)
-    if not names and not effects:
-        raise InputError(
-            "the estimate holds no ratio parameter and no effect, and a vehicle's tables take no other; estimate one"
-        )
-    # The table enters the update by its own sigma; as the prior of the fit it would count twice.
-    with_prior = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
-    if with_prior is not None:
-        raise InputError(
-            f"{with_prior} was estimated with a prior, which is the table itself; estimate it with a flat one"
-        )
+    _check_weighable(estimate, point)
     for record in records:
         check_reference(record, vehicle, point)
+    names = ratio_names(estimate)
+    others = [n for n in estimate.parameters if n not in names]
     path, outside = _path(estimate, records), 0
     in_table = _in_table(estimate, point, path)
     if names or in_table:
         path, outside = _inside(path, point)
-    has_slope = [len(axis) > 1 for axis in point.ratio.axes]
-    second = [has_slope[i] and has_slope[j] for i, j in SECOND_ORDER]
-    possible = dict(zip((p.name for p in RATIO), (True, True, *has_slope, *second), strict=True))
-    written = tuple(n for n in names if possible[n])
-    if not written and not effects:
+    written = _representable(names, point)
+    if not written and not any(is_effect(n) for n in others):
         raise InputError(f"the table of {point.name} has too few nodes for {', '.join(names)}; add nodes there")
     fit = _FittedRatio(estimate, written, in_table, records[0])
     by_table = turbulent is not None and _by_table(fitted_use(estimate, TRANSITION))
@@ -193,6 +174,38 @@ def flight_evidence(
     return FlightEvidence(
         evidence, rows, at_zero, P, path, outside, flown[0], flown[1], in_table, dict(sorted(not_written.items()))
     )
+
+
+def _check_weighable(estimate: Estimate, point: ControlPoint) -> None:
+    """Check that an estimate has something for a point's table, and that the two can be weighed against each other.
+
+    raises : InputError that states what to do
+    """
+    if not estimate.converged:
+        raise InputError(
+            "the estimate did not converge, so nothing of it goes into a table; estimate again with fewer parameters"
+        )
+    if point.ratio.sigma is None:
+        raise InputError(f"{point.declared.ratio_table}: has no sigma column to weigh the flight against; add one")
+    names = ratio_names(estimate)
+    if not names and not any(map(is_effect, estimate.parameters)):
+        raise InputError(
+            "the estimate holds no ratio parameter and no effect, and a vehicle's tables take no other; estimate one"
+        )
+    # The table enters the update by its own sigma; as the prior of the fit it would count twice.
+    with_prior = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
+    if with_prior is not None:
+        raise InputError(
+            f"{with_prior} was estimated with a prior, which is the table itself; estimate it with a flat one"
+        )
+
+
+def _representable(names: Sequence[str], point: ControlPoint) -> tuple[str, ...]:
+    """Those parameters of the linear model that the nodes of a point's table can represent."""
+    has_slope = [len(axis) > 1 for axis in point.ratio.axes]
+    second = [has_slope[i] and has_slope[j] for i, j in SECOND_ORDER]
+    possible = dict(zip((p.name for p in RATIO), (True, True, *has_slope, *second), strict=True))
+    return tuple(n for n in names if possible[n])
 
 
 def _evenly(count: int, *, most_samples: int = 240) -> BoolArray:

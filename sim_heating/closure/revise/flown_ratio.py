@@ -111,33 +111,6 @@ class FlownRatio:
         return nodes, root[:, None] * W[:, nodes].toarray(), root * self.ratio, root[:, None] * (self.basis @ half)
 
 
-@dataclass(frozen=True, eq=False)
-class NodeEvidence:
-    """Evidence that is stated for nodes, as revisions of earlier versions have it.
-
-    evidence : on the nodes of the axes;  axes : of the table before any revision
-    """
-
-    evidence: Evidence
-    axes: Sequence[FloatArray]
-
-    def on(self, axes: Sequence[FloatArray]) -> Evidence:
-        """As evidence on the nodes of a table with these axes, which contain the own ones."""
-        e = self.evidence
-        if not e.names:
-            return e
-        axes_and_indices = zip(axes, self.axes, np.unravel_index(e.nodes, [len(a) for a in self.axes]), strict=True)
-        index = [np.searchsorted(new, old[i]) for new, old, i in axes_and_indices]
-        nodes = np.ravel_multi_index(index, [len(a) for a in axes])
-        return Evidence(e.names, nodes, e.H, e.value, e.covariance)
-
-    combinations = on
-
-
-FlightMeasurement = FlownRatio | NodeEvidence
-"""What a revision took from a flight."""
-
-
 def shape_sigma(table: RatioTable, x: FloatArray, weight: FloatArray, *, shape_error: float = 0.003) -> float:
     """tau [-] of a table along a path: `shape_error` times the root mean square of its sigma.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,9 @@ from sim_heating.base.parameters import EFFECT_PREFIX, SHORT_NAMES
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.revise.errors import HeldFit, errors_before_and_after, held_fits
+from sim_heating.closure.revise.errors import errors_before_and_after, held_fits
 from sim_heating.closure.revise.evidence import OF_START, ratio_names
-from sim_heating.closure.revise.revision_file import RevisionFile
+from sim_heating.closure.revise.revision_file import HeldFit, RevisionFile
 from sim_heating.closure.revise.revisions import revising
 from sim_heating.closure.revise.table_effects import added_ratio
 from sim_heating.closure.revise.update import TableChange, TableUpdate, check_target, prepare_update, write_update
@@ -124,7 +124,7 @@ def update_tables(
         fits = held_fits(update)
         if dry_run:
             return UpdatedTables(update, errors, fits)
-        content = {name: asdict(h) for name, h in fits.items()}
+        content = {name: h.model_dump() for name, h in fits.items()}
         return UpdatedTables(update, errors, fits, *write_update(update, target, errors, draw_update, content))
 
 

@@ -41,7 +41,7 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.closure.revise.flown_ratio import FlightMeasurement
+from sim_heating.closure.revise.flown_ratio import FlownRatio
 from sim_heating.closure.revise.revision_file import RevisedTurbulent, RevisionFile, StoredEvidence
 from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, Posterior, on_axes, posterior
@@ -71,7 +71,7 @@ class TableHistory:
     revision: int
     base: RatioTable
     revisions: tuple[RevisionFile, ...]
-    measured: tuple[FlightMeasurement, ...] = ()
+    measured: tuple[FlownRatio, ...] = ()
 
     @property
     def reach(self) -> Mapping[str, float]:
@@ -130,7 +130,7 @@ def read_history(vehicle: Vehicle, point: str) -> TableHistory:
         text, at = _parent_text(tables[0], text, parent, file, revision), revision.parent
         tables.insert(0, parent)
         revisions.insert(0, revision)
-    _refuse_half_written(vehicle.directory, point, int(number))
+    _refuse_half_restored(vehicle.directory, point, int(number))
     history = TableHistory(path, raw, table, int(number), read_ratio_table(tables[0]), tuple(revisions))
     return _with_measurements(vehicle.directory, history, tables[1:], [r.evidence for r in revisions])
 
@@ -196,8 +196,7 @@ def _read_revision(file: Path, point: str, number: int) -> RevisionFile:
             f"{name}: is revision {revision.revision} of {abbreviated(revision.control_point)}; this must be revision "
             f"{number} of {point}; restore the file"
         )
-    # Files of earlier versions have none; their evidence is compared with their table instead.
-    if DIGEST in data and not digest_matches(data):
+    if not digest_matches(data):
         raise InputError(
             f"{name}: was changed after it was written (its content is not that of its `{DIGEST}`); restore it"
         )
@@ -205,21 +204,19 @@ def _read_revision(file: Path, point: str, number: int) -> RevisionFile:
 
 
 def _with_measurements(
-    directory: Path, history: TableHistory, tables: Sequence[Path], stored: Sequence[StoredEvidence]
+    directory: Path, history: TableHistory, tables: Sequence[Path], stored: Sequence[StoredEvidence | None]
 ) -> TableHistory:
     """A history with what its revisions took from flights, which makes the tables that are there.
 
     tables, stored : of the revisions, in their order
     raises         : InputError naming the revision
     """
-    measured: list[FlightMeasurement] = []
+    measured: list[FlownRatio] = []
     before = history.base
     for revision, path, evidence in zip(history.revisions, tables, stored, strict=True):
         name = display_path(revision_path(directory, revision.control_point, revision.revision, "json"))
-        try:
-            measured.append(evidence.measurement(history.base))
-        except InputError as error:
-            raise InputError(f"{name}, [evidence]: {error}") from None
+        if evidence is not None:
+            measured.append(evidence.measurement())
         table = read_ratio_table(path)
         if not _makes(history.base, measured, revision.reach, before, table):
             raise InputError(
@@ -231,7 +228,7 @@ def _with_measurements(
 
 
 def _makes(
-    base: RatioTable, measured: Sequence[FlightMeasurement], reach: Mapping[str, float], before: RatioTable,
+    base: RatioTable, measured: Sequence[FlownRatio], reach: Mapping[str, float], before: RatioTable,
     table: RatioTable, *, ratio_tolerance: float = 1e-5, sigma_tolerance: float = 2e-3, rounding: float = 1e-6,
 ) -> bool:  # fmt: skip
     """Whether evidence makes a table, to rounding.
@@ -264,19 +261,18 @@ def table_posterior(vehicle: Vehicle, point: str) -> Posterior | None:
     return None if table.sigma is None else posterior(table, [])
 
 
-def _refuse_half_written(directory: Path, point: str, number: int) -> None:
-    """Refuse a vehicle with the effects of the next revision and the table of this one.
-
-    An update of an earlier version, which replaced one file after the other, left that when it was killed.
-    """
-    revision_file, file = revision_path(directory, point, number + 1, "json"), point_path(directory, point)
-    if not revision_file.is_file():
+def _refuse_half_restored(directory: Path, point: str, number: int) -> None:
+    """Refuse a vehicle with the effects of the next revision and the table of this one, as where a table was put back
+    by hand: the next update would count the effects twice."""
+    following, file = revision_path(directory, point, number + 1, "json"), point_path(directory, point)
+    if not following.is_file():
         return
-    revision = _read_revision(revision_file, point, number + 1)
+    revision = _read_revision(following, point, number + 1)
     if revision.point_hash is not None and revision.point_hash == text_digest(raw_text(file)):
         kept = revision_path(directory, point, number, "toml")
         raise InputError(
-            f"{display_path(file)}: an update ended before its table was written; copy {display_path(kept)} over it"
+            f"{display_path(file)}: has the effects of revision {number + 1}, and the table is that of revision "
+            f"{number}; copy {display_path(kept)} over it"
         )
 
 
@@ -338,7 +334,7 @@ def write_revision(
         if effects:
             new[revision_path(Path(), point, history.revision, "toml")] = before
             new[point_path(Path(), point)] = after
-        # What an update of an earlier version left when it was interrupted is not part of this revision.
+        # what a revision left whose table was put back by hand is not part of this one
         stale = {revision_path(Path(), point, number, "png"), revision_path(Path(), point, history.revision, "toml")}
         replace_files(
             vehicle.directory, {p.as_posix(): c for p, c in new.items()}, [p.as_posix() for p in stale - new.keys()]

@@ -141,7 +141,7 @@ class TableUpdate:
 
     @property
     def changes(self) -> tuple[TableChange, ...]:
-        """Of the ratio table, and of the turbulent one where it is revised."""
+        """Changes of the ratio table, and of the turbulent one where it is revised."""
         return (self.laminar,) if self.turbulent is None else (self.laminar, self.turbulent)
 
     @property
@@ -497,7 +497,7 @@ def write_update(
     out     : folder for the copy; None for the vehicle itself
     errors  : as `errors_before_and_after` gives them
     draw    : draws the picture of the update into a file; without one there is no picture
-    held    : record of the estimate -> how well the tables hold the fit of it, the fields of `errors.HeldFit`
+    held    : record of the estimate -> how well the tables hold the fit of it, the fields of `HeldFit`
     returns : the vehicle's directory, and what was written
     raises  : InputError where the place cannot be written, or the vehicle was changed since the update was prepared;
               nothing is written then

@@ -21,7 +21,7 @@ from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETER
 from sim_heating.closure.search.admissibility import OFF, far_from_declared, objections
 from sim_heating.closure.search.joint_model import JointModel
 from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
-from sim_heating.closure.search.simulated_records import RECORDS, with_simulated_p_value
+from sim_heating.closure.search.simulated_records import with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.candidates import NO_EFFECT
 from sim_heating.closure.search.trials.change import RecordChange
@@ -35,13 +35,10 @@ TWINS = frozenset({"thickness_factor", "heat_capacity_factor"}), frozenset({CLOC
 much; a clock that is late, and thermocouples that lag."""
 
 
-def adequacy_of(trial: TrialFit, records: int = RECORDS) -> Adequacy:
-    """Whether the model of a trial explains the record to its noise.
-
-    records : number of records that are made for the p-value of a model with an error
-    """
+def adequacy_of(trial: TrialFit, members: int = 1) -> Adequacy:
+    """Whether the model of a trial explains the record to its noise; members : records that have it in common."""
     held_out = [] if trial.held_out_chi2 == 0.0 else trial.held_out_samples
-    return with_simulated_p_value(trial, assess(trial.fitted_samples, held_out), records)
+    return with_simulated_p_value(trial, assess(trial.fitted_samples, held_out), members)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,7 +131,7 @@ class Hypothesis:
         Of models with an error each p-value is from as many records more as there are members, so that the smallest of
         them can be as small as that of one record.
         """
-        return tuple(adequacy_of(trial, RECORDS * len(self.members)) for trial in self.by_record)
+        return tuple(adequacy_of(trial, len(self.members)) for trial in self.by_record)
 
     @cached_property
     def adequacy(self) -> Adequacy:

@@ -20,16 +20,14 @@ from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.model_error import ModelError
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
 
-RECORDS = 199
-"""Records that are made."""
 
-
-def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy, records: int = RECORDS) -> Adequacy:
+def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy, members: int = 1, *, made: int = 199) -> Adequacy:
     """The adequacy of a trial's model with its p-value from records made with it; as it is for an exact model.
 
-    adequacy : of the record itself, with its statistic;  records : number of those that are made
+    adequacy : of the record itself, with its statistic
+    members  : records that have the model in common;  made : records that are made for each of them
     """
-    record_fit, size = trial.record_fit, trial.size
+    record_fit, size, records = trial.record_fit, trial.size, made * members
     if record_fit.model_error is None or size is None:
         return adequacy
     rng, probability = np.random.default_rng(20261128), size.posterior

@@ -30,9 +30,6 @@ from sim_heating.march.point import insulation_layer
 from sim_heating.thermal.mesh import DIFFUSIVITY_AT_K, DIFFUSIVITY_AT_PA
 from sim_heating.thermal.stack import Material, PressureTable, pairs
 
-LEAST_FACTOR = 0.05
-"""Least factor on a property, over f [-]: it limits the change d, which is 3 at most, of either sign."""
-
 
 @dataclass(frozen=True)
 class Axis:
@@ -41,6 +38,7 @@ class Axis:
     name   : in words;  suffix, unit : of the names of the ends in a report
     spans  : from which the search for the ends starts;  within : limits of the ends;  shortest : span
     zero   : where the factor is f, at which meshes are graded: they stay as they are
+    least_factor : on a property, over f [-]: it limits the change d, which is 3 at most, of either sign
     """
 
     name: str
@@ -50,6 +48,7 @@ class Axis:
     within: Span
     shortest: float
     zero: float
+    least_factor: float = 0.05
 
     def shape(self, x: ArrayLike, span: Span) -> FloatArray:
         """S - S(zero) at places on the axis [-]."""
@@ -57,8 +56,8 @@ class Axis:
         return np.asarray(s * s * (3.0 - 2.0 * s) - zero * zero * (3.0 - 2.0 * zero))
 
     def limits(self, span: Span) -> tuple[float, float]:
-        """Bounds of the change d, within which the factor is LEAST_FACTOR or more at any place [-]."""
-        room = 1.0 - LEAST_FACTOR
+        """Bounds of the change d, within which the factor is `least_factor` or more at any place [-]."""
+        room = 1.0 - self.least_factor
         below, above = np.maximum(np.abs(self.shape(span, span)), room / 3.0)
         return float(-room / above), float(room / below)
 
@@ -126,7 +125,7 @@ def with_shape(record: Record, change: float, *, effect: str, axis: Axis, span: 
     layer, name = stack.layer[number], stack.layer_names[number]
 
     def factor(x: FloatArray) -> FloatArray:
-        return np.maximum(1.0 + change * axis.shape(x, span), LEAST_FACTOR)
+        return np.maximum(1.0 + change * axis.shape(x, span), axis.least_factor)
 
     material = record.declared.materials[layer.material]
     if effect == HEAT_CAPACITY:

@@ -48,8 +48,6 @@ UNITS: Mapping[str, tuple[float, float]] = {
 """Recorded over true temperature, c0 [K] and c1 [-], of a column in another unit or converted from one by mistake."""
 AT_NOISE = 1.6
 """Residual over the noise below which a sensor is at its noise."""
-ROUGH_SAMPLES = 8
-"""Samples that half the time of diffusion has to hold."""
 OTHERS_MOVE = 3.0
 """Steps of its recorder that another sensor moves by while one is stuck, and the model where one is clipped."""
 
@@ -518,21 +516,24 @@ def is_resolved(others: ResidualHeating, suspect: SensorResidual, *, max_fast_sh
     return bool(np.sum(faster_K**2) < max_fast_share * np.sum(deviation_K**2))
 
 
-def is_too_rough(others: ResidualHeating, suspect: SensorResidual, *, rougher: float = 3.0) -> bool:
+def is_too_rough(
+    others: ResidualHeating, suspect: SensorResidual, *, rougher: float = 3.0, least_samples: int = 8
+) -> bool:
     """Whether readings change faster than heat reaches the depth of their thermocouple.
 
     In half the time that heat takes, a temperature at that depth is nearly a parabola in time. Compared with the
     prediction, since the heating, or a layer that conducts better than declared, may bend it a little.
 
     rougher : how much rougher than the prediction readings may be
+    least_samples : that half the time of diffusion has to hold
     """
     record, t = others.record, suspect.time_s
     span_s = 0.5 * _diffusion_time_s(record, suspect.sensor.depth_m)
-    if span_s < ROUGH_SAMPLES * float(np.median(np.diff(t))):
+    if span_s < least_samples * float(np.median(np.diff(t))):
         return False
     predicted_K = suspect.read_K - deviation_from(others, suspect)
-    allowed_K = max(AT_NOISE * suspect.floor_K, rougher * _roughness_K(t, predicted_K, span_s))
-    return _roughness_K(t, suspect.read_K, span_s) > allowed_K
+    allowed_K = max(AT_NOISE * suspect.floor_K, rougher * _roughness_K(t, predicted_K, span_s, least_samples))
+    return _roughness_K(t, suspect.read_K, span_s, least_samples) > allowed_K
 
 
 def _diffusion_time_s(record: Record, depth_m: float) -> float:
@@ -545,11 +546,11 @@ def _diffusion_time_s(record: Record, depth_m: float) -> float:
     return float(0.25 * root_s**2)
 
 
-def _roughness_K(t: FloatArray, values_K: FloatArray, span_s: float) -> float:
+def _roughness_K(t: FloatArray, values_K: FloatArray, span_s: float, least_samples: int) -> float:
     """RMS about a parabola in each span of a history [K]."""
     squares, count = 0.0, 0
     for span in np.array_split(np.arange(len(t)), max(math.ceil(float(np.ptp(t)) / span_s), 1)):
-        if len(span) > ROUGH_SAMPLES:
+        if len(span) > least_samples:
             x = (t[span] - t[span[0]]) / span_s
             about_K = values_K[span] - np.polyval(np.polyfit(x, values_K[span], 2), x)
             squares, count = squares + float(about_K @ about_K), count + len(span) - 3
