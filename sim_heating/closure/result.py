@@ -571,7 +571,7 @@ def finding_alone(e: Evidence) -> str:
 
 def credibility_of_finding(
     statement: Statement,
-    after: Sequence[Prediction],
+    predictions: Sequence[Prediction],
     parameters: Mapping[str, ParameterEstimate],
     reference: Sequence[float],
     errors: Mapping[str, Any],
@@ -580,19 +580,19 @@ def credibility_of_finding(
 ) -> Credibility:
     """The credibility statement of a closed loop.
 
-    statement  : the finding;  after : each record with what was found
+    statement  : the finding;  predictions : each record with what was found
     parameters : estimates of the last fit;  reference : condition of its derivatives [deg, deg, -, deg, deg]
     errors     : rmse_K over `fit` and `holdout`, None where there is none
     faulty     : whether the data of a record have faults, so that the finding is none
     """
-    facts = of_several([p.facts("closed loop", with_peak=False) for p in after])
+    facts = of_several([p.facts("closed loop", with_peak=False) for p in predictions])
     sigma = {n: e.sigma for n, e in parameters.items() if math.isfinite(e.sigma)}
     adequacy, p = statement.adequacy, statement.probability
     of_finding = replace(
         facts,
         topics=facts.topics | {"estimates", "sensitivities"},
         sigma=bool(sigma),
-        uncertainty=ratio_uncertainty(sigma, [a.record for a in after], reference),
+        uncertainty=ratio_uncertainty(sigma, [a.record for a in predictions], reference),
         consistent=Answer(
             adequacy is not None and adequacy.p_value >= POLICY.adequate_p,
             "no test of adequacy" if adequacy is None else f"p-value of adequacy {adequacy.p_value:.2g}",

@@ -89,18 +89,18 @@ def axial_steps(
 
 
 def _step(
-    t: FloatArray, C: FloatArray, angles: FloatArray, at: float, *, resolution: float = 1e-5
+    t: FloatArray, C: FloatArray, angles: FloatArray, step_s: float, *, resolution: float = 1e-5
 ) -> tuple[float, int, float]:
     """F of a step at a time, its degrees of freedom (0 where the window is too short), and its relative size.
 
     resolution : least residual of a coefficient, relative to it: digits of a file are not noise
     """
     half_window_s, blind_s, min_samples = WINDOW
-    window = np.abs(t - at) <= half_window_s
-    early, late = np.count_nonzero(window & (t < at - blind_s)), np.count_nonzero(window & (t > at + blind_s))
+    window = np.abs(t - step_s) <= half_window_s
+    early, late = np.count_nonzero(window & (t < step_s - blind_s)), np.count_nonzero(window & (t > step_s + blind_s))
     if min(early, late) < min_samples // 2:
         return 0.0, 0, 0.0
-    x = t[window] - at
+    x = t[window] - step_s
     centred = angles[window] - np.mean(angles[window], axis=0)
     # Angles and a trend are fitted alongside, since a manoeuvre changes the axial force as a step would.
     columns = [np.ones_like(x), x, *(v for v in centred.T if np.ptp(v) > 1e-3)]

@@ -203,11 +203,11 @@ def _hypersonic(flown: Conditions) -> BoolArray:
     return np.asarray(_low(flown) & (flown["velocity_m_s"] > SLOWEST_M_S))
 
 
-def _ratio(over: FloatArray, under: FloatArray, judged: BoolArray) -> FloatArray:
+def _ratio(numerator: FloatArray, denominator: FloatArray, judged: BoolArray) -> FloatArray:
     """Relative deviation of a ratio from its median over the judged samples; 0 elsewhere."""
-    ratio = np.ones_like(over)
-    np.divide(over, under, out=ratio, where=judged & (under > 0.0) & (over > 0.0))
-    return np.where(judged, ratio / np.median(ratio[judged]) - 1.0, 0.0) if np.any(judged) else np.zeros_like(over)
+    ratio = np.ones_like(numerator)
+    np.divide(numerator, denominator, out=ratio, where=judged & (denominator > 0.0) & (numerator > 0.0))
+    return np.where(judged, ratio / np.median(ratio[judged]) - 1.0, 0.0) if np.any(judged) else np.zeros_like(numerator)
 
 
 def _gas(flown: Conditions) -> _Relation:

@@ -160,18 +160,18 @@ def residual_heating(
     values: FloatArray,
     number: int = 0,
     disturbance: Disturbance | None = None,
-    without: Collection[str] = (),
+    omitted: Collection[str] = (),
 ) -> ResidualHeating:
     """The heating history that explains the residual of one record of a fit.
 
     problem, values : the fit; its samples are the readings, its values the model
-    number            : which of the fit's records
+    number          : which of the fit's records
     disturbance     : noise model of the history; None for the likeliest one
-    without         : names of sensors that are omitted
+    omitted         : names of sensors that are omitted
     raises          : RunError where the model cannot be marched
     """
     record_fit = problem.record_fits[number]
-    shift, channels = record_fit.shift_s(values), [c for c in record_fit.channels if c.sensor.name not in without]
+    shift, channels = record_fit.shift_s(values), [c for c in record_fit.channels if c.sensor.name not in omitted]
     # At the times shifted by the clock and with the correction for the mesh: what these explain is not missing heating.
     samples, order = filter_samples(
         channels, record_fit.sample_s + shift, record_fit.mesh, record_fit.sigma_K, record_fit.values(values),

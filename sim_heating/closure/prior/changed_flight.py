@@ -117,12 +117,12 @@ def _changed(record: Record, columns: dict[str, FloatArray]) -> Record:
     return replace(record, conditions=flown.with_columns(**following))
 
 
-def _over(values: FloatArray, before: FloatArray) -> FloatArray:
+def _over(values: FloatArray, reference: FloatArray) -> FloatArray:
     """Ratio of two columns, 1 where the second is 0."""
-    return np.divide(values, before, out=np.ones_like(values), where=before != 0.0)
+    return np.divide(values, reference, out=np.ones_like(values), where=reference != 0.0)
 
 
-def _surface_pressure(before: Conditions, flown: Conditions, pressure: FloatArray) -> FloatArray:
+def _surface_pressure(stated: Conditions, flown: Conditions, pressure: FloatArray) -> FloatArray:
     """Surface pressure [Pa] in changed conditions: its rise goes with the dynamic pressure.
 
     pressure : (time,) changed over stated dynamic pressure [-]
@@ -131,13 +131,13 @@ def _surface_pressure(before: Conditions, flown: Conditions, pressure: FloatArra
 
     The pressure coefficient of the stagnation point, cp_max, changes by less than 2 % for each km/s.
     """
-    rise, turned = (before["p_surface_Pa"] - before["p_inf_Pa"]) * pressure, flown["alpha_deg"] - before["alpha_deg"]
+    rise, turned = (stated["p_surface_Pa"] - stated["p_inf_Pa"]) * pressure, flown["alpha_deg"] - stated["alpha_deg"]
     if np.any(turned):
         stagnation = FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
-        largest = surface_pressure(stagnation, before) - before["p_inf_Pa"]
+        largest = surface_pressure(stagnation, stated) - stated["p_inf_Pa"]
         fraction = np.divide(rise, largest, out=np.zeros_like(rise), where=(largest > 0.0) & (rise > 0.0))
-        angle, heated = np.degrees(np.arcsin(np.sqrt(np.minimum(fraction, 1.0)))), heated_part(before)
+        angle, heated = np.degrees(np.arcsin(np.sqrt(np.minimum(fraction, 1.0)))), heated_part(stated)
         # a windward surface follows the angle of attack; the pressure of a leeward one does not
-        if np.std((angle - before["alpha_deg"])[heated]) < 0.5 * np.std(before["alpha_deg"][heated]):
+        if np.std((angle - stated["alpha_deg"])[heated]) < 0.5 * np.std(stated["alpha_deg"][heated]):
             rise = largest * np.sin(np.radians(np.clip(angle + turned, 0.0, 90.0))) ** 2
     return np.asarray(flown["p_inf_Pa"] + rise)

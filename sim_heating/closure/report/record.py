@@ -169,13 +169,13 @@ def _headline(closure: Closure) -> tuple[str, str]:
     return finding, f"{certainty} {errors}"
 
 
-def _change(samples: str, before: Mapping[str, float] | None, after: Mapping[str, float] | None) -> str:
+def _change(samples: str, first: Mapping[str, float] | None, last: Mapping[str, float] | None) -> str:
     """RMSE over fitted or held-out data, before and after."""
-    if before is None or after is None:
+    if first is None or last is None:
         return ""
-    if before is after or before["rmse_K"] == after["rmse_K"]:
-        return f"RMSE over {samples} data: {before['rmse_K']:.2f} K. "
-    return f"RMSE over {samples} data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after. "
+    if first is last or first["rmse_K"] == last["rmse_K"]:
+        return f"RMSE over {samples} data: {first['rmse_K']:.2f} K. "
+    return f"RMSE over {samples} data: {first['rmse_K']:.2f} K before, {last['rmse_K']:.2f} K after. "
 
 
 def _not_effects_section(closure: Closure) -> list[Section]:

@@ -83,7 +83,7 @@ def _condition(closure: Closure) -> dict[str, float]:
     return dict(zip(RATIO_VARIABLES, map(float, closure.reference), strict=True))
 
 
-def _record_json(closure: Closure, e: Evidence, after: Prediction) -> dict[str, Any]:
+def _record_json(closure: Closure, e: Evidence, prediction: Prediction) -> dict[str, Any]:
     """One record in closure.json; scores are differences of BIC, below 0 where they speak for the cause."""
     return {
         "record": closure.record.name,
@@ -100,7 +100,7 @@ def _record_json(closure: Closure, e: Evidence, after: Prediction) -> dict[str, 
         "own_values": {n: {"value": v, "sigma": finite(s)} for n, (v, s) in e.own.items()},
         "reference_condition": _condition(closure),
         "before": closure.before.segment_errors(),
-        "after": after.segment_errors(),
+        "after": prediction.segment_errors(),
         "noise_floor_K": finite(closure.noise_floor_K),
     }
 
@@ -187,11 +187,11 @@ def _residuals_section(joint: JointClosure) -> Section:
     return Section("Residuals side by side", charts=charts)
 
 
-def _curves(joint: JointClosure, closure: Closure, after: Prediction) -> list[tuple[Prediction, str, str]]:
+def _curves(joint: JointClosure, closure: Closure, prediction: Prediction) -> list[tuple[Prediction, str, str]]:
     """What a record is compared with: prediction, colour and words of each."""
     curves = [(closure.before, BEFORE, "declared model fitted")]
     cause = " + ".join(joint.search.compared.names)
-    return curves if after is closure.before else [*curves, (after, AFTER, f"with {cause}")]
+    return curves if prediction is closure.before else [*curves, (prediction, AFTER, f"with {cause}")]
 
 
 def residuals_figure(joint: JointClosure) -> Figure:

@@ -137,10 +137,10 @@ class _Missing(NamedTuple):
 
 
 def _with(
-    after: tuple[PointModel, EdgeFlow], fit: PointModel, missing: Sequence[_Missing]
+    revised: tuple[PointModel, EdgeFlow], fit: PointModel, missing: Sequence[_Missing]
 ) -> tuple[PointModel, EdgeFlow]:
     """The model with the tables after, and what they have not of the fit."""
-    model, flow = after
+    model, flow = revised
     parameters, effects = dict(model.parameters), model.effects
     for m in missing:
         parameters |= m.parameters
@@ -148,9 +148,9 @@ def _with(
     return replace(model, parameters=parameters, effects=effects, reference=fit.reference), flow
 
 
-def _reduction(total: float, without: float) -> float:
+def _reduction(total: float, remaining: float) -> float:
     """sqrt(whole^2 - without^2), 0 where that is negative."""
-    return math.sqrt(max(total**2 - without**2, 0.0))
+    return math.sqrt(max(total**2 - remaining**2, 0.0))
 
 
 def _values(update: TableUpdate, record: Record) -> dict[str, float]:

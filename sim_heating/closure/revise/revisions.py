@@ -228,20 +228,20 @@ def _with_measurements(
 
 
 def _makes(
-    base: RatioTable, measured: Sequence[FlownRatio], reach: Mapping[str, float], before: RatioTable,
+    base: RatioTable, measured: Sequence[FlownRatio], reach: Mapping[str, float], parent: RatioTable,
     table: RatioTable, *, ratio_tolerance: float = 1e-5, sigma_tolerance: float = 2e-3, rounding: float = 1e-6,
 ) -> bool:  # fmt: skip
     """Whether evidence makes a table, to rounding.
 
-    base : the table before any of it;  before : the table before the last of it
+    base : the table before any of it;  parent : the table before the last of it
     ratio_tolerance, sigma_tolerance : relative differences of ratio and sigma by which a table may be away from what
         its evidence makes it: it is rounded to 6 and 4 digits
     rounding : difference that counts as rounding, relative to the largest value of a table
     """
-    if any(not np.all(np.isin(a, b)) for a, b in zip(before.axes, table.axes, strict=True)) or table.sigma is None:
+    if any(not np.all(np.isin(a, b)) for a, b in zip(parent.axes, table.axes, strict=True)) or table.sigma is None:
         return False
     remade = posterior(on_axes(base, table.axes), [m.on(table.axes) for m in measured], reach)
-    old = on_axes(before, table.axes)
+    old = on_axes(parent, table.axes)
     assert old.sigma is not None  # of a table that was revised
     sigma = np.minimum(remade.sigma, old.sigma)
     return np.allclose(
@@ -301,7 +301,7 @@ def write_revision(
     """Write the next revision, all files of it together: the old ones kept, its origin, the effects, and the tables.
 
     history     : as the table is now
-    content        : the fields of a RevisionFile that do not follow from the files
+    content     : the fields of a RevisionFile that do not follow from the files
     point_texts : the control point's file as it is now and as it is to be
     picture     : of the update; None where there is none
     turbulent   : the turbulent table as it is now and as it is to be; None where it stays

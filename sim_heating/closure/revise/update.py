@@ -420,16 +420,16 @@ def _check_not_used(history: TableHistory, used: Sequence[UsedRecord]) -> None:
 
 
 def _round_table(
-    old: RatioTable, after: Posterior, header: dict[str, str], *, ratio_digits: int = 6, sigma_digits: int = 4
+    old: RatioTable, updated: Posterior, header: dict[str, str], *, ratio_digits: int = 6, sigma_digits: int = 4
 ) -> RatioTable:
     """The new table: changed nodes to a few digits, the others as they were, sigma nowhere larger.
 
     ratio_digits, sigma_digits : significant digits of a changed node, far below any sigma
     """
     assert old.sigma is not None
-    ratio = _significant(after.ratio, ratio_digits)
+    ratio = _significant(updated.ratio, ratio_digits)
     # Data never make a node less certain; rounding up must not either.
-    sigma = np.minimum(_significant(after.sigma, sigma_digits), old.sigma)
+    sigma = np.minimum(_significant(updated.sigma, sigma_digits), old.sigma)
     # Compared as rounded: nodes beyond the reach of the correlation keep every digit of their file.
     same = (ratio == _significant(old.ratio, ratio_digits)) & (sigma == _significant(old.sigma, sigma_digits))
     return RatioTable(old.axes, np.where(same, old.ratio, ratio), np.where(same, old.sigma, sigma), header)

@@ -262,17 +262,17 @@ def joint_hypothesis(
     return Hypothesis(joint, None, fewest, cause.price, model=model, each=tuple(each), alone=scores)
 
 
-def with_one_more(below: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) -> Hypothesis:
+def with_one_more(simpler: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) -> Hypothesis:
     """A hypothesis with one effect more, or one derivative of the table.
 
     trial : of it, fitted on top of the last one of the hypothesis;  forms : as in `hypothesis`
     """
     further = hypothesis([trial], forms)
     return replace(
-        below,
-        trials=(*below.trials, trial),
-        objections=(*below.objections, *further.objections),
-        price=below.price + further.price,
+        simpler,
+        trials=(*simpler.trials, trial),
+        objections=(*simpler.objections, *further.objections),
+        price=simpler.price + further.price,
     )
 
 

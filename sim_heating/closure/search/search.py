@@ -193,7 +193,7 @@ def _part(progress: Progress, begin: float, end: float, label: str) -> Progress:
 
 
 def _changes(
-    before: FitResult,
+    baseline: FitResult,
     base: TrialFit,
     singles: Sequence[TrialFit],
     discrepancies: Sequence[Discrepancy],
@@ -224,11 +224,11 @@ def _changes(
     best = max((t.fit.log_likelihood - base.fit.log_likelihood for t in singles), default=0.0)
     least_fraction, near_share = shares_beside_adequate if explained else change_shares
     fits = with_own_corrections(
-        before,
+        baseline,
         base,
         fit_changes(base, changes, best, share=least_fraction, near_share=near_share, most=EFFORT.compared),
     )
-    stated = before.problem.record_fits[0].record
+    stated = baseline.problem.record_fits[0].record
     tried = Counter(c.family for c in changes)
     return [
         change_hypothesis(t, tried[t.change.family], motion_evidence(stated, t), contradicted_by_motion(stated, t))

@@ -393,12 +393,12 @@ def fit_changes(
 
 
 def with_own_corrections(
-    before: FitResult, base: TrialFit, fits: Sequence[TrialFit], *, min_excess: float = 1.0, nearly: float = 0.95
+    baseline: FitResult, base: TrialFit, fits: Sequence[TrialFit], *, min_excess: float = 1.0, nearly: float = 0.95
 ) -> list[TrialFit]:
     """Fits of changes, the leading ones with the mesh correction of their own record.
 
-    before  : the declared model fitted to the whole record;  base : the same for the search, which `fits` started from
-    returns : the lowest BIC first; as given where the declared model is near the record
+    baseline : the declared model fitted to the whole record;  base : the same for the search, which `fits` began with
+    returns  : the lowest BIC first; as given where the declared model is near the record
 
     The correction at the declared model is of another wall, or at estimates that a wrong sensor distorts.
 
@@ -409,11 +409,11 @@ def with_own_corrections(
         return list(fits)
     best = min((f.delta_bic for f in fits), default=0.0)
     leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < nearly * best or not f.estimates]
-    trials = [f if f not in leading else _recorrected(before, base, f) for f in fits]
+    trials = [f if f not in leading else _recorrected(baseline, base, f) for f in fits]
     return sorted(trials, key=lambda f: f.delta_bic)
 
 
-def _recorrected(before: FitResult, base: TrialFit, trial: TrialFit) -> TrialFit:
+def _recorrected(baseline: FitResult, base: TrialFit, trial: TrialFit) -> TrialFit:
     """The fit of a change with the mesh correction of the changed record, fitted on from there.
 
     The fit as it is where the whole record cannot be marched there.
@@ -423,7 +423,7 @@ def _recorrected(before: FitResult, base: TrialFit, trial: TrialFit) -> TrialFit
     assert fit is not None
     names = [n for n in record_fit.names if n not in trial.estimates]
     try:
-        record = change.apply(before.problem.record_fits[0].record, trial.value)
+        record = change.apply(baseline.problem.record_fits[0].record, trial.value)
         thin = record_fit.record if not change.in_model else change.apply(record_fit.record, trial.value)
         correction = own_thinning_error(trial, record, thin, names)
     except CANNOT_BE:

@@ -483,7 +483,7 @@ def _are_broken(others: ResidualHeating, suspects: Sequence[SensorResidual]) -> 
 def _heating_without(base: TrialFit, names: Collection[str]) -> ResidualHeating | None:
     """The heating that explains the sensors but for some; None where it cannot be found, its march failing."""
     try:
-        return residual_heating(base.problem, base.fit.values, without=names)
+        return residual_heating(base.problem, base.fit.values, omitted=names)
     except RunError:
         return None
 

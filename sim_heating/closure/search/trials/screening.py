@@ -102,17 +102,17 @@ def gains_from(base: TrialFit, candidates: Sequence[Candidate], *, tie: float = 
     return gains
 
 
-def gain_of_step(parameters: Sequence[Parameter], at: FloatArray, evaluation: Evaluation) -> float:
+def gain_of_step(parameters: Sequence[Parameter], vector: FloatArray, evaluation: Evaluation) -> float:
     """Gain in log likelihood that a Gauss-Newton step predicts, the priors of the parameters included [-].
 
-    at : (parameter,) values that were evaluated;  evaluation : log likelihood there, with gradient and information
+    vector : (parameter,) values that were evaluated;  evaluation : log likelihood there, with gradient and information
 
     Parameters on a bound that the gradient pushes beyond it stay there.
     """
     prior = np.array([p.sigma**-2.0 for p in parameters])
-    gradient = evaluation.gradient + prior * (np.array([p.value for p in parameters]) - at)
+    gradient = evaluation.gradient + prior * (np.array([p.value for p in parameters]) - vector)
     lower, upper = (np.array([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
-    free = ~(((at <= lower) & (gradient <= 0.0)) | ((at >= upper) & (gradient >= 0.0)))
+    free = ~(((vector <= lower) & (gradient <= 0.0)) | ((vector >= upper) & (gradient >= 0.0)))
     information = (evaluation.information + np.diag(prior))[np.ix_(free, free)]
     return predicted_gain(gradient[free], covariance(information))
 

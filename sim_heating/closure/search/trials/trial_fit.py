@@ -227,7 +227,7 @@ def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResul
 
 
 def base_trial(
-    before: FitResult,
+    baseline: FitResult,
     *,
     chi2_rounds: int = 3,
     chi2_change: float = 1.2,
@@ -250,24 +250,24 @@ def base_trial(
     node_fraction : nodes of the search over those of a fit
     min_nodes : least number of nodes of the search
     """
-    stated = before.problem.record_fits[0]
-    prior = table_prior(stated.record, stated.names, before.problem.reference)
+    stated = baseline.problem.record_fits[0]
+    prior = table_prior(stated.record, stated.names, baseline.problem.reference)
     priors = {} if prior is None else prior.parameters()
     declared = {**{n: p.value for n, p in priors.items()}, CLOCK_SKEW.name: 0.0}
     # Far from the truth a fit with flat priors may end anywhere, and what it ends at is no place to start from.
-    start = (dict(zip(stated.names, before.fit.values, strict=True)) if before.fit.converged else {}) | {
+    start = (dict(zip(stated.names, baseline.fit.values, strict=True)) if baseline.fit.converged else {}) | {
         CLOCK_SKEW.name: 0.0
     }
     fitted, held_out = stated.record.fit_mask(), stated.record.holdout_mask()
     # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
     thin = thin_record(stated.record, max(int(node_fraction * stated.mesh.nodes), min_nodes))
-    full = _declared_problem(before, stated.record, priors, fitted | held_out)
-    thinned = _declared_problem(before, thin, priors, fitted | held_out, **THINNED_STEPS)
+    full = _declared_problem(baseline, stated.record, priors, fitted | held_out)
+    thinned = _declared_problem(baseline, thin, priors, fitted | held_out, **THINNED_STEPS)
     error_K, at_s = thinning_error(full, thinned, start)
 
     def problem_over(chosen: NDArray[np.bool_], c: float = 1.0) -> FitProblem:
         weighed = {n: replace(p, sigma=p.sigma / math.sqrt(c)) for n, p in priors.items()}
-        problem = _declared_problem(before, thin, weighed, chosen, **THINNED_STEPS)
+        problem = _declared_problem(baseline, thin, weighed, chosen, **THINNED_STEPS)
         record_fit = problem.record_fits[0]
         record_fit.correction_K = error_K[:, np.isin(at_s, record_fit.sample_s)]
         if error is not None:
@@ -368,27 +368,27 @@ def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
 
 
 def _declared_problem(
-    before: FitResult,
+    baseline: FitResult,
     record: Record,
     priors: Mapping[str, Parameter],
     chosen: NDArray[np.bool_],
     **options_of_march: Any,
 ) -> FitProblem:
     """The declared model over chosen samples of a record, whole or thinned; priors are those of its table."""
-    stated = before.problem.record_fits[0]
+    stated = baseline.problem.record_fits[0]
     interval = float(np.median(np.diff(stated.record.time_s)))
     # Clocks of two recorders never agree exactly, and an unstated skew is estimated as an effect: some room for it
     # belongs to the model without effects.
     agreement_s = min(0.25 * interval, SKEW_SPAN_S)
     clock = {} if CLOCK_SKEW.name in stated.names else {CLOCK_SKEW.name: clock_prior(record, agreement_s)}
     options = FitOptions(
-        effects=before.problem.options.effects,
+        effects=baseline.problem.options.effects,
         priors={**priors, **clock},
         prior_scale=WIDENED,
         sample_masks=[chosen],
         **options_of_march,
     )
-    problem = FitProblem([record], (*stated.names, *clock), before.problem.reference, options)
+    problem = FitProblem([record], (*stated.names, *clock), baseline.problem.reference, options)
     problem.record_fits[0].sigma_K.update(stated.sigma_K)
     return problem
 
