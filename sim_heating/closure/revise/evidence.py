@@ -201,7 +201,7 @@ def _check_weighable(estimate: Estimate, point: ControlPoint) -> None:
 
 
 def _representable(names: Sequence[str], point: ControlPoint) -> tuple[str, ...]:
-    """Those parameters of the linear model that the nodes of a point's table can represent."""
+    """Parameters of the linear model that the nodes of a point's table can represent."""
     has_slope = [len(axis) > 1 for axis in point.ratio.axes]
     second = [has_slope[i] and has_slope[j] for i, j in SECOND_ORDER]
     possible = dict(zip((p.name for p in RATIO), (True, True, *has_slope, *second), strict=True))

@@ -209,20 +209,18 @@ def density_scale() -> RecordChange:
 
 
 def density_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, edge_m: float = 1.0) -> RecordChange:
-    """The density was another by a factor between two altitudes [m]; within : altitudes that these may be moved in.
+    """The density was another by a factor between two altitudes [m].
 
-    edge_m : thickness of the edges of a sharp layer [m]
+    limits : altitudes that these may be moved in [m];  edge_m : thickness of the edges of a sharp layer [m]
     """
-    edge = edge_m
-    shape = ([low_m - edge, low_m, high_m, high_m + edge], [0.0, 1.0, 1.0, 0.0])
+    shape = ([low_m - edge_m, low_m, high_m, high_m + edge_m], [0.0, 1.0, 1.0, 0.0])
     return _layer("density between", "", density_layer, (low_m, high_m), shape, limits)
 
 
 def smooth_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, points: int = 33) -> RecordChange:
-    """The density was another by a factor that rises and falls between two altitudes [m], as 1 - cos; within : as
-    above.
+    """The density was another by a factor that rises and falls between two altitudes [m], as 1 - cos.
 
-    points : altitudes that a smooth layer is interpolated between
+    limits : altitudes that these may be moved in [m];  points : altitudes that the layer is interpolated between
     """
     at = np.linspace(0.0, 1.0, points)
     shape = ((low_m + (high_m - low_m) * at).tolist(), (0.5 - 0.5 * np.cos(2.0 * np.pi * at)).tolist())

@@ -137,7 +137,7 @@ def _is_suitable(c: Candidate) -> bool:
 def _best_starts(
     history: HeatingHistory, of_form: Sequence[Candidate], *, most_solved: int = 4
 ) -> list[tuple[int, dict[str, float]]]:
-    """Of the candidates of one form those, by index, that fit the history best, with the starts that do.
+    """Indices of the candidates of one form that fit the history best, with the starts that do.
 
     most_solved : starts of a form from which the least-squares problem is solved
     """

@@ -70,7 +70,7 @@ def flight_as_json(flight: Mapping[str, tuple[float, float] | None]) -> dict[str
 
 
 def flight_in_words(flight: Mapping[str, tuple[float, float] | None]) -> str:
-    """Those errors of a flight that the readings tell apart; empty where there are none."""
+    """Errors of a flight that the readings tell apart, in words; empty where there are none."""
     determined = {n: p for n, p in flight.items() if p is not None}
     scaled = [
         (IN_WORDS[n][0] * value, IN_WORDS[n][0] * sigma, IN_WORDS[n][1]) for n, (value, sigma) in determined.items()
