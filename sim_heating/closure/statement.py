@@ -251,7 +251,7 @@ def _residual_warning(result: SearchResult, residual: ResidualHeating | None) ->
 def _candidate_scores(result: SearchResult) -> list[CandidateScore]:
     """All single causes, as they were compared; those that were not fitted have their predicted BIC, and errors as
     before."""
-    first = result.rounds[0]
+    first = result.first
     scored = {h.names[0]: h for h in reversed(result.hypotheses) if len(h.names) == 1}
     shares = posteriors({name: h.score for name, h in scored.items() if h.admissible} | {NONE: 0.0})
     rows = [(NONE, 0.0, result.none.last)]

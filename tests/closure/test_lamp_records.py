@@ -155,7 +155,7 @@ def test_what_the_declared_model_is_fitted_with_is_not_found_as_an_effect() -> N
     names = [*default_names([record]), CONDUCTIVITY]
     closed = close_loop(record, names)
     assert closed.effects == ("none",)
-    assert not [c for c in closed.search.rounds[0].tried if CONDUCTIVITY in c.model_names]
+    assert not [c for c in closed.search.first.tried if CONDUCTIVITY in c.model_names]
     assert closed.report.statement.adequacy is not None
     assert closed.report.statement.adequacy.p_value > 0.01
     assert {"ratio.scale", CONDUCTIVITY} < set(closed.report.parameters) <= set(names)

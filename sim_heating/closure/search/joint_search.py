@@ -158,7 +158,7 @@ def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
     scores: dict[frozenset[str], dict[int, float]] = {}
     for i, result in enumerate(alone):
         proposed = [c for h in result.hypotheses if (c := _cause_of(i, h, one_point)) is not None]
-        proposed += [_cause_of_trial(trial, result.rounds[0].forms) for trial in result.rounds[0].trials]
+        proposed += [_cause_of_trial(trial, result.first.forms) for trial in result.first.trials]
         for cause, score, values in sorted(proposed, key=lambda p: p[1]):
             names = frozenset(cause.names)
             scores.setdefault(names, {}).setdefault(i, score)

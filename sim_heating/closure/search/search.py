@@ -79,28 +79,26 @@ class SearchResult(Compared):
     """The result of the search for missing effects in one record.
 
     before     : the declared model's fit, its magnitude and derivatives
-    rounds     : passes over the candidates, the first one on top of the declared model
+    first      : the pass over all candidates on top of the declared model
     hypotheses : all models that were fitted to convergence, best first; those that may not be named come last
     conclusion : what follows from them
     discrepancies : parts of the flight whose conditions contradict each other
     curve      : the best smooth curve against one variable, where nothing adequate was found
-    begun_with : the declared model as the search began with it, where `none` has the error that the record says it has
     """
 
     record: Record
     before: FitResult
-    rounds: tuple[SearchRound, ...]
+    first: SearchRound
     none: Hypothesis
     hypotheses: tuple[Hypothesis, ...]
     conclusion: Conclusion
     discrepancies: Sequence[Discrepancy] = ()
     curve: TrialFit | None = None
-    begun_with: TrialFit | None = None
 
     @property
     def base(self) -> TrialFit:
-        """The declared model as the search began with it."""
-        return self.begun_with or self.none.last
+        """The declared model as the search began with it, where `none` has the error that the record says it has."""
+        return self.first.base
 
     @property
     def added(self) -> tuple[TrialFit, ...]:
@@ -114,7 +112,7 @@ class SearchResult(Compared):
         return named or (self.conclusion.effect_name,)
 
     def __repr__(self) -> str:
-        return f"<SearchResult of {self.record.name}: {' + '.join(self.names)}, {len(self.rounds)} round(s)>"
+        return f"<SearchResult of {self.record.name}: {' + '.join(self.names)}>"
 
 
 def search_effects(
@@ -131,7 +129,7 @@ def search_effects(
     first = search_round(base, [], _part(progress, 0.1, 0.35, "one effect"))
     singles = _refined(base, first, _part(progress, 0.35, 0.45, "one effect"))
     none = hypothesis([base], {})
-    rounds, hypotheses = [first], [hypothesis([t], first.forms) for t in singles]
+    hypotheses = [hypothesis([t], first.forms) for t in singles]
     discrepancies = flight_discrepancies(record.conditions)
     hypotheses += _changes(before, base, singles, discrepancies, _explaining(hypotheses), progress)
     rated = scored(none, hypotheses)
@@ -139,25 +137,17 @@ def search_effects(
         hypotheses += _fitted_on(base, none, hypotheses, record, first.forms)
         rated = scored(none, hypotheses)
     if _more_is_missing(none, rated):
-        further, pairs = _with_one_more(_first_picks(hypotheses), first.forms, _part(progress, 0.5, 0.8, "two effects"))
-        rounds += further
+        pairs = _with_one_more(_first_picks(hypotheses), first.forms, _part(progress, 0.5, 0.8, "two effects"))
         rated = _accepted(none, [*hypotheses, *pairs])
         if _more_is_missing(none, rated):
             pairs += _fitted_on(base, none, pairs, record, first.forms)
         hypotheses += pairs
         rated = _accepted(none, hypotheses)
         if _more_is_missing(none, rated) and len(rated[0].names) == 2 and rated[0].change is None:
-            further, triples = _with_one_more(
-                [list(rated[0].trials)], first.forms, _part(progress, 0.8, 0.9, "three effects")
-            )
-            rounds += further
+            triples = _with_one_more([list(rated[0].trials)], first.forms, _part(progress, 0.8, 0.9, "three effects"))
             hypotheses += [*triples, *_recorrected(none, triples, record, first.forms)]
         hypotheses += _pruned(base, _accepted(none, hypotheses), first.forms)
-        further, exchanged = _exchanged(
-            base, none, hypotheses, first, _part(progress, 0.85, 0.9, "rivals of the causes")
-        )
-        rounds += further
-        hypotheses += exchanged
+        hypotheses += _exchanged(base, none, hypotheses, first, _part(progress, 0.85, 0.9, "rivals of the causes"))
         rated = _accepted(none, hypotheses)
         if _more_is_missing(none, rated):
             hypotheses += _on_the_best_change(none, rated, _part(progress, 0.9, 0.95, "an effect besides a change"))
@@ -167,7 +157,7 @@ def search_effects(
     if conclusion.finding in ("partly", "unknown"):
         progress(0.95, "a curve against the variable that the residual follows")
         curve = next(iter(curve_trials(base)), None)
-    return SearchResult(record, before, tuple(rounds), none, tuple(rated), conclusion, discrepancies, curve, base)
+    return SearchResult(record, before, first, none, tuple(rated), conclusion, discrepancies, curve)
 
 
 def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, list[Hypothesis]]:
@@ -276,8 +266,8 @@ def _with_one_more(
     pair_share: float = 0.3,
     most_pairs: int = 24,
     starts_of_pair: int = 1,
-) -> tuple[list[SearchRound], list[Hypothesis]]:
-    """A round on top of each of several stacks of effects, all side by side, and hypotheses with one effect more.
+) -> list[Hypothesis]:
+    """Hypotheses with one effect more on top of each of several stacks of effects, a round of each side by side.
 
     stacks : effects, each fitted on top of those before
     pair_share, most_pairs, starts_of_pair : of the most that a further effect promises, on top of any first one: the
@@ -316,7 +306,7 @@ def _with_one_more(
         refined = refine(bases[i], trials, of_round.tried, of_round.predicted) if trials else []
         ordered = sorted(refined, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
         hypotheses += [hypothesis([*stacks[i], t], {**forms, **of_round.forms}) for t in ordered]
-    return rounds, hypotheses
+    return hypotheses
 
 
 def _screened(stack: Sequence[TrialFit]) -> tuple[list[Candidate], list[float]]:
@@ -375,8 +365,8 @@ def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int
 
 def _exchanged(
     base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], first: SearchRound, progress: Progress
-) -> tuple[list[SearchRound], list[Hypothesis]]:
-    """The rounds and hypotheses in which other effects stand in place of members of the leading hypothesis.
+) -> list[Hypothesis]:
+    """Hypotheses in which other effects stand in place of members of the leading one.
 
     first : the round of single effects
 
@@ -384,7 +374,6 @@ def _exchanged(
     with one. So each effect of the leading model is left out, and all are put in their simplest forms, before another
     one is sought, as long as that finds a better model.
     """
-    rounds: list[SearchRound] = []
     exchanged: list[Hypothesis] = []
     rated = _accepted(none, hypotheses)
     for _ in range(EFFORT.rivals):
@@ -396,13 +385,11 @@ def _exchanged(
             reduced.append([_in_simplest_form(t, first.tried) for t in best.trials])
         stacks = [_stack_effects(base, effects_of, values) for effects_of in reduced]
         stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
-        seen, tried = _with_one_more(stacks, first.forms, progress)
-        rounds += seen
-        exchanged += tried
+        exchanged += _with_one_more(stacks, first.forms, progress)
         rated = _accepted(none, [*hypotheses, *exchanged])
         if set(rated[0].names) == set(best.names):
             break
-    return rounds, exchanged
+    return exchanged
 
 
 def _in_simplest_form(trial: TrialFit, tried: Sequence[Candidate]) -> TrialFit:

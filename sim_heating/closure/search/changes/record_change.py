@@ -288,21 +288,14 @@ def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -
     return in_shares(of_share, len(models))
 
 
-def predicted_change_gains(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[float, float]]:
-    """Gain in log likelihood that one Gauss-Newton step predicts for each change, and the value it starts from.
-
-    base    : the model that the changes are tried with
-    returns : by change, gain [-] and start: the best of the neutral value and its starts; minus infinity where the
-              changed record cannot be marched
-    """
-    return [(gain, model.split(vector)[1]) for gain, model, vector in _best_starts(base, changes)]
-
-
-def _best_starts(
+def best_starts(
     base: TrialFit, changes: Sequence[RecordChange], *, gross_excess: float = 10.0
 ) -> list[tuple[float, _ChangedModel, FloatArray]]:
-    """Predicted gain, model and vector to start from of each change.
+    """Gain in log likelihood that one Gauss-Newton step predicts for each change, its model, and where that starts.
 
+    base    : the model that the changes are tried with
+    returns : by change, gain [-], model and vector, of the best of the neutral value and its starts; a gain of minus
+              infinity where the changed record cannot be marched
     gross_excess : excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
     """
     starts = [(k, v) for k, c in enumerate(changes) for v in dict.fromkeys((c.neutral, *c.starts))]
@@ -354,7 +347,7 @@ def fit_changes(
             return min(share, POLICY.min_of_best)
         return share if change.near is None else near_share
 
-    predicted = _best_starts(base, changes)
+    predicted = best_starts(base, changes)
     n, largest = sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
     best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
     for change, (gain, model, start) in zip(changes, predicted, strict=True):
