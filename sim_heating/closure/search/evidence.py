@@ -92,11 +92,11 @@ def evidence_of_records(
     fitted = refit_models(models, [m.start({i: starts[i]}) for m in models for i in m.members])
     trials = {id(m): m.split(f)[0] for m, f in fitted}
     evidence = []
-    for i, found_alone in enumerate(evidence_without_cause(alone)):
-        of_itself, of_members = (trials.get(id(m.get(i))) for m in (free, pinned))
+    for i, by_itself in enumerate(evidence_without_cause(alone)):
+        fitted_alone, with_members = (trials.get(id(m.get(i))) for m in (free, pinned))
         evidence.append(
             replace(
-                _with_values(found_alone, i, none, best, of_itself, of_members), member=i in best.members,
+                _with_values(by_itself, i, none, best, fitted_alone, with_members), member=i in best.members,
                 over_rival=None if rival is None else float(rival.shares[i] - best.shares[i]),
             )
         )  # fmt: skip
