@@ -23,7 +23,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX
 from sim_heating.closure.prior.model_error import flight_error
-from sim_heating.closure.search.changes.record_change import problem_over
+from sim_heating.closure.search.changes.record_change import changed_trial
 from sim_heating.closure.search.ranking import scatter_price
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.change import RecordChange
@@ -94,12 +94,7 @@ class Cause:
             problem, held_out = problem_with(base, self.candidate), held_out_problem_with(base, self.candidate)
             return replace(base, candidate=self.candidates[-1], problem=problem, held_out=held_out)
         apply = self.change.apply
-
-        def changed(problem: FitProblem) -> FitProblem:
-            fit, held_out = problem.record_fits[0], problem is base.held_out
-            return problem_over(base, fit, apply(fit.record, 0.0), fit.names, held_out=held_out)
-
-        return replace(base, problem=changed(base.problem), held_out=base.held_out and changed(base.held_out))
+        return changed_trial(base, lambda record: apply(record, 0.0))
 
     def __repr__(self) -> str:
         return f"<Cause {' + '.join(self.names)}: {', '.join(self.candidate.names)}>"

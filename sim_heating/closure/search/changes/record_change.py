@@ -210,14 +210,21 @@ def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
     if all(name in fitted for name in names):
         return base
 
-    def freed(problem: FitProblem) -> FitProblem:
-        record_fit, held_out = problem.record_fits[0], problem is base.held_out
-        return problem_over(base, record_fit, record_fit.record, (*fitted, *names), held_out=held_out)
+    freed = changed_trial(base, lambda record: record, (*fitted, *names))
+    parameters = freed.problem.parameters
+    values = start_values(freed.problem, fitted_values(base))
+    return replace(freed, fit=replace(base.fit, names=tuple(p.name for p in parameters), values=values))
 
-    problem = freed(base.problem)
-    values = start_values(problem, fitted_values(base))
-    fit = replace(base.fit, names=tuple(p.name for p in problem.parameters), values=values)
-    return replace(base, problem=problem, held_out=base.held_out and freed(base.held_out), fit=fit)
+
+def changed_trial(base: TrialFit, changed: Callable[[Record], Record], names: Sequence[str] | None = None) -> TrialFit:
+    """A trial over another record, or with other unknowns by their dotted names, with the fit that it had."""
+
+    def over(problem: FitProblem) -> FitProblem:
+        record_fit, held_out = problem.record_fits[0], problem is base.held_out
+        record = changed(record_fit.record)
+        return problem_over(base, record_fit, record, names or record_fit.names, held_out=held_out)
+
+    return replace(base, problem=over(base.problem), held_out=base.held_out and over(base.held_out))
 
 
 def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
