@@ -76,14 +76,13 @@ def make_and_close(task: tuple[int, int, str]) -> bytes:
         "true_statistic": None if answer["effect"] == UNKNOWN else of_truth.adequacy.statistic,
         "accepted": answer.get("accepted", [answer["effect"]]), "separable": answer.get("separable", True),
         "residual_over_floor": answer.get("residual_over_floor"), "noise_colour": answer["noise_colour"],
-        "lag1_autocorrelation": found.rounds[0].base.lag1_autocorrelation,
+        "lag1_autocorrelation": found.base.lag1_autocorrelation,
         "after": after, "truth": answer["true_rmse_K"], "known": known,
         "rounds": [
             {
-                "excess_chi2": r.base.excess_chi2,
-                "trials": [[t.name, t.delta_bic, t.score, t.excess_chi2] for t in r.trials[:4]],
+                "excess_chi2": found.base.excess_chi2,
+                "trials": [[t.name, t.delta_bic, t.score, t.excess_chi2] for t in found.first.trials[:4]],
             }
-            for r in found.rounds
         ],
     }  # fmt: skip
     return json.dumps(row).encode()
@@ -118,7 +117,7 @@ def search_of_effect(found: SearchResult, effect: str) -> SearchResult:
     if not best:
         return found
     known = hypothesis([best[0]], one.forms)
-    return replace(found, rounds=(one,), conclusion=Conclusion("found", known, (), 0.0))
+    return replace(found, first=one, conclusion=Conclusion("found", known, (), 0.0))
 
 
 def is_correct(row: dict[str, Any]) -> bool:

@@ -129,7 +129,7 @@ def make_and_close(task: tuple[str, int | str, bool, int]) -> bytes:
 def closed(directory: Path, answer: Mapping[str, Any]) -> dict[str, Any]:
     """What close-loop states of a record, next to what is true of it."""
     from sim_heating.closure.close import close_loop
-    from sim_heating.closure.report import closure_json
+    from sim_heating.closure.report.record import closure_json
     from sim_heating.inputs.record import load_record
 
     kept = ("class", "form", "flight", "wall", "effects", "accepted", "separable", "kind", "what", "size",

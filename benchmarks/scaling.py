@@ -29,7 +29,7 @@ from benchmarks.dispersion import STUDY
 from benchmarks.measure import Figure, save, span
 from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.parallel.threads import march_threads, one_thread
-from sim_heating.closure.several.batch import close_all, record_job
+from sim_heating.closure.batch import close_all, record_job
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.inputs.record import load_record
 from sim_heating.planning.dispersion.entry import SOBOL, Batch, DispersedEntry

@@ -20,10 +20,10 @@ import numpy as np
 from benchmarks.measure import Figure, save
 from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.prior.model_error import SmoothFlightError
+from sim_heating.closure.search.joint_search import JointSearch, search_jointly
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.trials.candidates import candidates
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects, problem_with
-from sim_heating.closure.several.joint_search import JointSearch, search_jointly
 from sim_heating.heating.edge_flow import edge_flow_columns
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.effects.transition import ALPHA_0, ALPHA_SENSITIVITY, BY_RE_THETA, ONSET, TRANSITION

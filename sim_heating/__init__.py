@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from sim_heating.campaign.figures.paper import draw_figures as draw_figures
     from sim_heating.campaign.figures.paper import write_figures as write_figures
     from sim_heating.closure.close import close_loop as close_loop
+    from sim_heating.closure.close import close_loops as close_loops
     from sim_heating.closure.close import write_closed_loop as write_closed_loop
+    from sim_heating.closure.close import write_joint_loop as write_joint_loop
     from sim_heating.closure.revise.report import update_tables as update_tables
-    from sim_heating.closure.several.joint import close_loops as close_loops
-    from sim_heating.closure.several.joint import write_joint_loop as write_joint_loop
     from sim_heating.estimation.design.report import design as design
     from sim_heating.estimation.design.report import write_design as write_design
     from sim_heating.estimation.fit import estimate as estimate
@@ -85,7 +85,7 @@ _HOME = {
     "parameter_list": "estimation.parameter_list",
     "design": "estimation.design.report",
     "close_loop": "closure.close",
-    "close_loops": "closure.several.joint",
+    "close_loops": "closure.close",
     "update_tables": "closure.revise.report",
     # the founding paper's figures over flights
     "draw_figures": "campaign.figures.paper",
@@ -101,7 +101,7 @@ _HOME = {
     "write_fit": "estimation.report.report",
     "write_design": "estimation.design.report",
     "write_closed_loop": "closure.close",
-    "write_joint_loop": "closure.several.joint",
+    "write_joint_loop": "closure.close",
     "write_figures": "campaign.figures.paper",
     # effects, those of users among them
     "Effect": "heating.effects",

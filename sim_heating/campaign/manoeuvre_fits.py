@@ -16,7 +16,7 @@ from sim_heating.base.parameters import AT
 from sim_heating.campaign.carried import Estimate, effect_uses
 from sim_heating.campaign.flights import CampaignFlight, Manoeuvre
 from sim_heating.campaign.spec import ManoeuvreSettings
-from sim_heating.closure.several.batch import program_digest
+from sim_heating.closure.batch import program_digest
 from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO
 from sim_heating.estimation.fit import DEFAULT, FitResult, estimate, rms_normalised_residual
 from sim_heating.estimation.inference.newton import NewtonSettings

@@ -18,7 +18,7 @@ from sim_heating.base.report.page import Page, Picture, Section, write_page
 from sim_heating.base.report.table import SORTABLE, Column, Table
 from sim_heating.campaign.manoeuvre_fits import usable
 from sim_heating.campaign.result import IMPROBABLE, CampaignResult
-from sim_heating.closure.report import closures_table
+from sim_heating.closure.report.record import closures_table
 from sim_heating.credibility.section import credibility_section
 
 SUMMARY, FITS_CSV, ERRORS_CSV, PAGE = FILES = "campaign.json", "fits.csv", "errors.csv", "report.html"

@@ -47,7 +47,7 @@ from sim_heating.campaign.report import FILES, NEXT_FLIGHT, PAGE, SUMMARY, write
 from sim_heating.campaign.result import CampaignResult
 from sim_heating.campaign.spec import Campaign, FlightInput, ManoeuvreSettings, load_campaign
 from sim_heating.campaign.tables import revise_tables
-from sim_heating.closure.several.batch import close_all, results_are_there
+from sim_heating.closure.batch import close_all, results_are_there
 from sim_heating.estimation.problem import joint_reference
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.inputs.scenario import load_scenario

@@ -55,9 +55,9 @@ def close_loop(
     --joint is given: records of one control point, or of neighbouring points, then state what they have in common.
     """
     from sim_heating.base.files import all_files_written, require_writable
+    from sim_heating.closure.batch import close_all, find_records, summary_row
     from sim_heating.closure.close import FILES, write_closed_loop
     from sim_heating.closure.close import close_loop as close_one
-    from sim_heating.closure.several.batch import close_all, find_records, summary_row
     from sim_heating.inputs.record import load_record
 
     directories = find_records(records, root)
@@ -97,11 +97,10 @@ def close_loop(
 def _close_jointly(directories: list[Path], out: Path, parameters: tuple[str, ...] | None, root: Path | None) -> None:
     """Close the loop on each record and on all together, write the files, and print what each adds."""
     from sim_heating.base.files import require_writable
-    from sim_heating.closure.close import FILES
+    from sim_heating.closure.batch import summary_row
+    from sim_heating.closure.close import FILES, close_loops, write_joint_loop
+    from sim_heating.closure.report.records import evidence_table
     from sim_heating.closure.result import JOINT_FILES
-    from sim_heating.closure.several.batch import summary_row
-    from sim_heating.closure.several.joint import close_loops, write_joint_loop
-    from sim_heating.closure.several.joint_report import evidence_table
     from sim_heating.inputs.record import load_records
 
     loaded = load_records(directories, root=root)
@@ -131,7 +130,7 @@ def _close_jointly(directories: list[Path], out: Path, parameters: tuple[str, ..
 
 def _print_rows(rows: list[dict[str, Any]]) -> None:
     """Print the table of all records; the finding in red where the run failed or the data are faulty."""
-    from sim_heating.closure.report import closures_table
+    from sim_heating.closure.report.record import closures_table
 
     table = closures_table(rows)
     finding = [column.head for column in table.layout].index("finding")

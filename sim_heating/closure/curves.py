@@ -25,19 +25,19 @@ NAME = "curve.csv"
 """File of a curve beside a closure report."""
 
 
-def curve_trials(base: TrialFit, taken: Sequence[str] = (), *, min_gain_share: float = 0.1) -> list[TrialFit]:
+def curve_trials(base: TrialFit, names: Sequence[str] = (), *, min_gain_share: float = 0.1) -> list[TrialFit]:
     """A curve in each variable on top of a model, the best first.
 
-    taken   : names of the effects in the model
+    names   : names of the effects in the model
     returns : trials, by BIC and the segments held out, each over the chi-square of the best; empty where a curve is in
               the model already. Time comes first only where it leaves less than half of what any other variable does:
               any residual is a function of time.
 
     min_gain_share : part of the best predicted gain below which a curve is not fitted
     """
-    record = base.problem.record_fits[0].record
+    record = base.record_fit.record
     flown = conditions_of_record(record)
-    everything = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken, last_resort=True)
+    everything = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), names, last_resort=True)
     tried = [c for c in everything if c.name == CURVE]
     gains = predicted_gains(base, tried)
     least = min_gain_share * max(gains, default=0.0)
@@ -85,7 +85,7 @@ def curve_of(trial: TrialFit, points: int = 61) -> CurveBand:
     trial  : one with a curve in its model;  points : their number
     raises : InputError where its covariance is not known
     """
-    (used,) = (u for u in trial.problem.record_fits[0].model_at(trial.fit.values).effects if u.effect.name == CURVE)
+    (used,) = (u for u in trial.record_fit.model_at(trial.fit.values).effects if u.effect.name == CURVE)
     names = [u.parameter.name for u in trial.problem.unknowns]
     at = [names.index(n) for n in trial.candidate.names]
     number, low, high = used.values[:FIRST]

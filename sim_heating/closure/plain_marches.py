@@ -61,24 +61,24 @@ def plain_marches(
         if gained < settled:
             break
         problem = _about(exact, values)
-    return [predict_fit(part, values) for part in exact.record_fits]
+    return [predict_fit(fit_of_record, values) for fit_of_record in exact.record_fits]
 
 
 def _about(exact: FitProblem, values: FloatArray, *, alone: bool = False) -> FitProblem:
     """The problem along the flights at a parameter vector, with the responses about them; `alone`, without any."""
     parts = []
-    for part in exact.record_fits:
-        error = part.model_error
+    for fit_of_record in exact.record_fits:
+        error = fit_of_record.model_error
         if error is None or error.flight is None:
-            parts.append(part)
+            parts.append(fit_of_record)
             continue
-        own = part.values(values)
-        f = np.array([own[n] for n in part.flight_names])
-        moved, F = part.along(error.flight.record(f)), np.zeros_like(error.flight_K)
+        by_name = fit_of_record.values(values)
+        f = np.array([by_name[n] for n in fit_of_record.flight_names])
+        moved, F = fit_of_record.along(error.flight.record(f)), np.zeros_like(error.flight_K)
         if not alone:
             response = flight_response(moved, values, error.flight, f)
-            F[:, np.searchsorted(error.sample_s, part.sample_s)] = response
-            moved = replace(moved, correction_K=part.correction_K - response @ f)
+            F[:, np.searchsorted(error.sample_s, fit_of_record.sample_s)] = response
+            moved = replace(moved, correction_K=fit_of_record.correction_K - response @ f)
         parts.append(replace(moved, model_error=replace(error, flight_K=F)))
     return exact.with_record_fits(parts)
 
@@ -86,7 +86,11 @@ def _about(exact: FitProblem, values: FloatArray, *, alone: bool = False) -> Fit
 def _log_posterior(exact: FitProblem, values: FloatArray) -> float:
     """Log posterior of parameters and flights by the marches along these, but for a constant [-]."""
     try:
-        found = _about(exact, values, alone=True).evaluate(values).log_likelihood
+        log_likelihood = _about(exact, values, alone=True).evaluate(values).log_likelihood
     except RunError:
         return -np.inf
-    return found + float(Priors.of(exact.parameters).log_prior(values)) if np.isfinite(found) else -np.inf
+    return (
+        log_likelihood + float(Priors.of(exact.parameters).log_prior(values))
+        if np.isfinite(log_likelihood)
+        else -np.inf
+    )

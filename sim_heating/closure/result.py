@@ -1,6 +1,6 @@
 """What a closed loop tells, as data: the finding with its alternatives, how sure it is, errors before and after.
 
-Pages and files are made of it (report.py, several/joint_report.py); it imports none of them.
+Pages and files are made of it (report/); it imports none of them.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from sim_heating.closure.clues.record_checks import DataFault
 from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.curves import NAME as CURVE_NAME
+from sim_heating.closure.search.evidence import Evidence
+from sim_heating.closure.search.joint_search import JointSearch
 from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.search.trials.told_error import ToldError, flight_in_words
-from sim_heating.closure.several.evidence import Evidence
-from sim_heating.closure.several.joint_search import JointSearch
 from sim_heating.closure.verdict.adequacy import Adequacy
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.facts.of_records import held_out, of_several, ratio_uncertainty
@@ -74,10 +74,10 @@ def values_in_words(parameters: Mapping[str, ParameterEstimate]) -> str:
 
 
 def _value_in_words(name: str, p: ParameterEstimate) -> str:
-    own, at, whose = name.partition(AT)
-    if own.endswith(FACTOR) and p.unit == "1":
+    stem, at, whose = name.partition(AT)
+    if stem.endswith(FACTOR) and p.unit == "1":
         percent = 100.0 * (p.value - 1.0)
-        noun = NOUNS.get(own, own.removesuffix(FACTOR).replace("_", " "))
+        noun = NOUNS.get(stem, stem.removesuffix(FACTOR).replace("_", " "))
         where = f" in {whose}" if at else ""
         return f"{noun} {abs(percent):.2g} % {'higher' if percent > 0.0 else 'lower'}{where}"
     return f"{name} {p.value:.3g}{'' if p.unit == '1' else f' {p.unit}'}"
@@ -288,8 +288,8 @@ class Statement:
         best = max(self.would_tell_apart, key=lambda e: e.log_odds)
         if best.log_odds >= math.log(POLICY.odds_apart):
             return [e.in_words() for e in self.would_tell_apart]
-        found = f"; the best, {best.in_words()}" if best.log_odds > math.log(1.05) else ""
-        return [f"none of the {self.experiment}s tried tells them apart{found}"]
+        best_line = f"; the best, {best.in_words()}" if best.log_odds > math.log(1.05) else ""
+        return [f"none of the {self.experiment}s tried tells them apart{best_line}"]
 
 
 def _percent(probability: float) -> str:
@@ -483,8 +483,8 @@ class JointClosure:
 
     def pooled(self, predictions: Sequence[Prediction]) -> dict[str, Any]:
         """rmse_K, max_abs_K and n over all records' fit and holdout segments; None where none has a sample."""
-        found = [p.segment_errors() for p in predictions]
-        return {segment: _pooled([f[segment] for f in found]) for segment in ("fit", "holdout")}
+        errors = [p.segment_errors() for p in predictions]
+        return {segment: _pooled([f[segment] for f in errors]) for segment in ("fit", "holdout")}
 
     def __repr__(self) -> str:
         before, after = (self.pooled(p)["fit"]["rmse_K"] for p in ([c.before for c in self.closures], self.after))
@@ -493,11 +493,11 @@ class JointClosure:
 
     def in_words(self) -> str:
         """The finding in a few words, with the records that have it where not all do."""
-        words = _plural(self.statement.in_words())
+        finding = _plural(self.statement.in_words())
         without = [e.record for e in self.search.evidence if not e.member]
         if not self.search.explained or not without:
-            return words
-        return f"{words} in {listed([n for n in self.names if n not in without])}, not in {listed(without)}"
+            return finding
+        return f"{finding} in {listed([n for n in self.names if n not in without])}, not in {listed(without)}"
 
     def certainty(self) -> str:
         """How sure the finding is, in one line."""
@@ -521,9 +521,11 @@ class JointClosure:
             elif e.verdict == "other values":
                 lines.append(f"{e.record} gives other values than those in common (p = {e.agreement:.1g})")
         for name, level in best.model.levels.items():
-            own = {k: p for k, p in self.parameters.items() if k.partition(AT)[0] == name and AT in k}
-            if len(own) > 1 and level != best.model.cause.widest[name]:
-                values = ", ".join(f"{p.value:.4g} +- {p.sigma:.2g} in {k.partition(AT)[2]}" for k, p in own.items())
+            estimates = {k: p for k, p in self.parameters.items() if k.partition(AT)[0] == name and AT in k}
+            if len(estimates) > 1 and level != best.model.cause.widest[name]:
+                values = ", ".join(
+                    f"{p.value:.4g} +- {p.sigma:.2g} in {k.partition(AT)[2]}" for k, p in estimates.items()
+                )
                 lines.append(f"{name.rpartition('.')[2]} is not in common: {values}")
         return lines
 
@@ -533,26 +535,26 @@ class JointClosure:
         lines = []
         for closure, alone in zip(self.closures, self.search.alone, strict=True):
             sets = zip(alone.conclusion.alternatives, closure.statement.alternatives, strict=True)
-            words = [w for names, said in sets for n, w in zip(names, said, strict=True) if n not in tried]
-            if alone.explained and words:
-                lines.append(f"{closure.record.name}, by itself: {listed(words)}, which was not tried in common")
+            causes = [w for names, texts in sets for n, w in zip(names, texts, strict=True) if n not in tried]
+            if alone.explained and causes:
+                lines.append(f"{closure.record.name}, by itself: {listed(causes)}, which was not tried in common")
         return lines
 
 
 def _plural(text: str) -> str:
     """A statement on one record as one on several."""
-    for one, several in (("the record to its", "the records to their"), ("the record shows", "the records show")):
-        text = text.replace(one, several)
+    for singular, plural in (("the record to its", "the records to their"), ("the record shows", "the records show")):
+        text = text.replace(singular, plural)
     return re.sub(r"\bthe record\b", "the records", text)
 
 
 def _pooled(errors: Sequence[Mapping[str, float] | None]) -> dict[str, float] | None:
-    known = [e for e in errors if e is not None and e["n"]]
-    count = sum(e["n"] for e in known)
+    stated = [e for e in errors if e is not None and e["n"]]
+    count = sum(e["n"] for e in stated)
     if not count:
         return None
-    rmse = float(np.sqrt(sum(e["n"] * e["rmse_K"] ** 2 for e in known) / count))
-    return {"rmse_K": rmse, "max_abs_K": max(e["max_abs_K"] for e in known), "n": int(count)}
+    rmse = float(np.sqrt(sum(e["n"] * e["rmse_K"] ** 2 for e in stated) / count))
+    return {"rmse_K": rmse, "max_abs_K": max(e["max_abs_K"] for e in stated), "n": int(count)}
 
 
 def listed(names: Sequence[str]) -> str:
@@ -569,7 +571,7 @@ def finding_alone(e: Evidence) -> str:
 
 def credibility_of_finding(
     statement: Statement,
-    after: Sequence[Prediction],
+    predictions: Sequence[Prediction],
     parameters: Mapping[str, ParameterEstimate],
     reference: Sequence[float],
     errors: Mapping[str, Any],
@@ -578,19 +580,19 @@ def credibility_of_finding(
 ) -> Credibility:
     """The credibility statement of a closed loop.
 
-    statement  : the finding;  after : each record with what was found
+    statement  : the finding;  predictions : each record with what was found
     parameters : estimates of the last fit;  reference : condition of its derivatives [deg, deg, -, deg, deg]
     errors     : rmse_K over `fit` and `holdout`, None where there is none
     faulty     : whether the data of a record have faults, so that the finding is none
     """
-    facts = of_several([p.facts("closed loop", with_peak=False) for p in after])
+    facts = of_several([p.facts("closed loop", with_peak=False) for p in predictions])
     sigma = {n: e.sigma for n, e in parameters.items() if math.isfinite(e.sigma)}
     adequacy, p = statement.adequacy, statement.probability
-    found = replace(
+    of_finding = replace(
         facts,
         topics=facts.topics | {"estimates", "sensitivities"},
         sigma=bool(sigma),
-        uncertainty=ratio_uncertainty(sigma, [a.record for a in after], reference),
+        uncertainty=ratio_uncertainty(sigma, [a.record for a in predictions], reference),
         consistent=Answer(
             adequacy is not None and adequacy.p_value >= POLICY.adequate_p,
             "no test of adequacy" if adequacy is None else f"p-value of adequacy {adequacy.p_value:.2g}",
@@ -601,4 +603,4 @@ def credibility_of_finding(
         ),
         varied=held_out(*(None if errors[n] is None else errors[n]["rmse_K"] for n in ("fit", "holdout"))),
     )
-    return assess(found)
+    return assess(of_finding)

@@ -12,7 +12,7 @@ import pytest
 from sim_heating.base.files import read_json
 from sim_heating.closure.close import ClosedLoop, close_loop
 from sim_heating.closure.curves import curve_trials
-from sim_heating.closure.report import write_closure
+from sim_heating.closure.report.record import write_closure
 from sim_heating.closure.result import NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.hypothesis import Hypothesis, conclude

@@ -10,19 +10,17 @@ import numpy as np
 import pytest
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from sim_heating.closure.revise.errors import held_fits
-from sim_heating.closure.revise.revision_file import StoredEvidence, stored_evidence
-from sim_heating.closure.revise.revisions import read_history, write_revision
-from sim_heating.closure.revise.update import _revision_content, prepare_update, write_update
+from sim_heating.closure.revise.revisions import read_history
+from sim_heating.closure.revise.update import prepare_update
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.report.estimate_file import Estimate, read_estimate, write_estimate
 from sim_heating.estimation.report.report import estimate_contents
 from sim_heating.estimation.starts import STARTS
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, UPDATE_REACH, basis, on_axes, posterior
+from sim_heating.heating.ratio.uncertainty import UPDATE_REACH, basis, on_axes, posterior
 from sim_heating.inputs.record import Segments, load_record
 from sim_heating.inputs.vehicle import load_vehicle
 from tests.closure.test_update_tables import POINT, TRUTH, contents, edit, estimate_of, flown_records
@@ -183,29 +181,3 @@ def test_a_fit_from_a_start_is_compared_from_that_start(workdir: Path) -> None:
     assert held.after_K < 1.15 * held.fit_K
     # Before 85 s the table is as it was, where the flight says nothing; a march from entry brings that along.
     assert held.from_entry_K > held.after_K
-
-
-# Revisions of earlier versions ----------------------------------------------------------------------------------------
-
-
-def test_a_revision_from_combinations_of_nodes_is_read_and_added_to(workdir: Path) -> None:
-    update = prepare_update("first.json", "./orbiter")
-    history, evidence = update.history, update.flight.evidence
-    made = posterior(history.base, [evidence])
-    header = {**history.table.header, "revision": "2", "parent_revision": "1"}
-    earlier = {
-        "names": list(evidence.names), "covariance": evidence.covariance.tolist(), "nodes": evidence.nodes.tolist(),
-        "H": evidence.H.tolist(), "value": evidence.value.tolist(),
-    }  # fmt: skip
-    content = _revision_content(update, {}, {}) | {"reach": CORRELATION_LENGTH, "evidence": earlier}
-    table = RatioTable(history.base.axes, made.ratio, made.sigma, header)
-    write_revision(update.vehicle, history, table, content, (update.effects.raw, update.effects.text))
-    known = read_history(load_vehicle("./orbiter"), POINT)
-    assert known.revisions[-1].evidence == StoredEvidence.model_validate(earlier)
-    second = prepare_update("second.json", "./orbiter")
-    write_update(second, None, {})
-    both = read_history(load_vehicle("./orbiter"), POINT)
-    assert [m.on(both.table.axes).names for m in both.measured] == [evidence.names, tuple(TRUTH)]
-    assert stored_evidence(None)["names"] == []
-    with pytest.raises(InputError, match="would count twice"):
-        prepare_update("second.json", "./orbiter")

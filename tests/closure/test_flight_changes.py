@@ -12,7 +12,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.clues.flight_consistency import flight_discrepancies
 from sim_heating.closure.search.changes import flight_changes as flight
-from sim_heating.closure.search.changes.record_change import fit_changes, predicted_change_gains
+from sim_heating.closure.search.changes.record_change import best_starts, fit_changes
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import TrialFit, base_trial
 from sim_heating.estimation.fit import estimate
@@ -111,8 +111,8 @@ def test_density_and_angle_of_attack_are_found_through_pressure_and_act_alike():
 @pytest.mark.thorough
 def test_a_predicted_gain_is_close_to_that_of_the_fit():
     base, fits = in_thin_air()
-    gain, start = predicted_change_gains(base, [fits[0].change])[0]
-    assert start == 1.0
+    gain, model, vector = best_starts(base, [fits[0].change])[0]
+    assert model.split(vector)[1] == 1.0
     assert gain == pytest.approx(fits[0].fit.log_likelihood - base.fit.log_likelihood, rel=0.05)
 
 

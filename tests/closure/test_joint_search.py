@@ -12,11 +12,11 @@ from click.testing import CliRunner
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli import cli
+from sim_heating.closure.close import close_loops
+from sim_heating.closure.search.evidence import Evidence
+from sim_heating.closure.search.joint_model import narrower_levels, widest_level
+from sim_heating.closure.search.joint_search import JointSearch, search_jointly
 from sim_heating.closure.search.search import SearchResult
-from sim_heating.closure.several.evidence import Evidence
-from sim_heating.closure.several.joint import close_loops
-from sim_heating.closure.several.joint_fit import narrower_levels, widest_level
-from sim_heating.closure.several.joint_search import JointSearch, search_jointly
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import Record, write_record
 from tests.support.few_candidates import search_among, searched_among

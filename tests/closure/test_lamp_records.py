@@ -12,11 +12,10 @@ from click.testing import CliRunner
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli import cli
-from sim_heating.closure.close import close_loop
+from sim_heating.closure.close import close_loop, close_loops, write_joint_loop
 from sim_heating.closure.clues.correlation import residual_evidence
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.trial_fit import declared_fit
-from sim_heating.closure.several.joint import close_loops, write_joint_loop
 from sim_heating.estimation.inference.observability import default_names
 from sim_heating.inputs.record import Record, load_record, write_record
 from sim_heating.inputs.vehicle import load_vehicle
@@ -156,7 +155,7 @@ def test_what_the_declared_model_is_fitted_with_is_not_found_as_an_effect() -> N
     names = [*default_names([record]), CONDUCTIVITY]
     closed = close_loop(record, names)
     assert closed.effects == ("none",)
-    assert not [c for c in closed.search.rounds[0].tried if CONDUCTIVITY in c.model_names]
+    assert not [c for c in closed.search.first.tried if CONDUCTIVITY in c.model_names]
     assert closed.report.statement.adequacy is not None
     assert closed.report.statement.adequacy.p_value > 0.01
     assert {"ratio.scale", CONDUCTIVITY} < set(closed.report.parameters) <= set(names)

@@ -10,7 +10,7 @@ import pytest
 from sim_heating.closure.close import close_loop
 from sim_heating.closure.prior.changed_flight import shift_conditions
 from sim_heating.closure.prior.model_error import flight_error, heating_error_prior
-from sim_heating.closure.report import closure_json
+from sim_heating.closure.report.record import closure_json
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.trials.told_error import told_error
 from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, with_own_error

@@ -10,7 +10,7 @@ from tests.support.paths import ROOT
 
 MOST_RULES = 40
 """Thresholds that a reader of a finding can still take in."""
-MOST_NUMBERS = 91
+MOST_NUMBERS = 80
 """Names of closure that stand for a number, those of the policy included."""
 
 

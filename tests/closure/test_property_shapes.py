@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim_heating.closure.close import change_parameters, refit
+from sim_heating.closure.close import refit
 from sim_heating.closure.result import ParameterEstimate
 from sim_heating.closure.search.changes.property_shapes import (
     CONDUCTIVITY,
@@ -20,8 +20,10 @@ from sim_heating.closure.search.changes.property_shapes import (
 )
 from sim_heating.closure.search.changes.record_change import fit_changes
 from sim_heating.closure.search.hypothesis import change_hypothesis, conclude, hypothesis, scored
+from sim_heating.closure.search.ranking import SearchRound
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit
+from sim_heating.closure.statement import change_parameters
 from sim_heating.inputs.record import Record
 from sim_heating.thermal.mesh import layer_diffusivities
 from tests.closure.test_close_loop import simulated_record
@@ -78,7 +80,7 @@ def test_a_table_that_is_off_by_two_factors_is_recognised_by_them_and_the_last_f
 
     none, of_change = hypothesis([base], {}), change_hypothesis(found, len(own))
     rated = scored(none, [of_change])
-    result = SearchResult(declared, before, (), none, tuple(rated), conclude(none, rated))
+    result = SearchResult(declared, before, SearchRound(base, (), {}), none, tuple(rated), conclude(none, rated))
     assert result.names == (HEAT_CAPACITY,)
     last = refit(result)
     assert "stack.rsi.heat_capacity_factor" in last.labels

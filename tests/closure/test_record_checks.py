@@ -47,7 +47,7 @@ def test_a_sound_record_has_no_fault():
 def test_residual_heating_without_one_thermocouple_is_finite_where_the_mesh_was_corrected():
     fitted = estimate([sound_record()])
     for sensor in sound_record().used_sensors:
-        residual = residual_heating(fitted.problem, fitted.fit.values, without=[sensor.name])
+        residual = residual_heating(fitted.problem, fitted.fit.values, omitted=[sensor.name])
         assert np.all(np.isfinite(residual.delta_ratio))
 
 

@@ -19,15 +19,15 @@ from sim_heating.base.errors import LeftOutWarning
 from sim_heating.base.files import files_written, output_directory, read_csv_columns
 from sim_heating.base.report.page import Page, Picture, Section, page_html
 from sim_heating.base.report.table import Table
+from sim_heating.closure.batch import summary_row
 from sim_heating.closure.clues.correlation import Correlation, residual_evidence
 from sim_heating.closure.clues.record_checks import TRAJECTORY, DataFault
 from sim_heating.closure.clues.residual_heating import residual_heating
-from sim_heating.closure.report import closure_json, closure_page, closures_table, write_closure
+from sim_heating.closure.report.batch import batch_page, residual_history
+from sim_heating.closure.report.record import closure_json, closure_page, closures_table, write_closure
 from sim_heating.closure.result import CandidateScore, Closure, Finding, NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.tell_apart import Experiment
-from sim_heating.closure.several.batch import summary_row
-from sim_heating.closure.several.batch_page import batch_page, residual_history
 from sim_heating.closure.verdict.adequacy import Adequacy
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import use

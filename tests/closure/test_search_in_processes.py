@@ -28,9 +28,9 @@ def print_findings(processes: int) -> None:
         shared = in_shares(lambda chosen: [len(chosen)] * len(chosen), 2)
     assert shared == ([1, 1] if processes > 1 and sys.platform == "linux" else [2, 2])
     print(found.names)
-    for done in found.rounds:
-        print([repr(float(gain)) for gain in done.predicted])
-        print([(t.name, repr(float(t.delta_bic)), t.fit.values.tolist(), t.fit.sigma.tolist()) for t in done.trials])
+    print([repr(float(gain)) for gain in found.first.predicted])
+    for t in found.first.trials:
+        print(t.name, repr(float(t.delta_bic)), t.fit.values.tolist(), t.fit.sigma.tolist())
     for h in found.hypotheses:
         print(h.names, repr(float(h.last.delta_bic)), h.last.fit.values.tolist(), repr(h.adequacy))
 

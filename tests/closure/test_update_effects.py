@@ -184,15 +184,13 @@ def test_a_file_edited_after_the_update_is_not_reverted(workdir: Path, capsys: p
 
 
 @pytest.mark.thorough
-def test_an_update_killed_before_writing_its_table_is_detected(
-    workdir: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_table_put_back_without_its_effects_is_refused(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = Path(f"orbiter/ratio_tables/{POINT}.csv")
     old = table.read_bytes()
     assert main(["update-tables", "first.json", "--vehicle", "./orbiter"]) == 0
     table.write_bytes(old)
     assert main(["update-tables", "first.json", "--vehicle", "./orbiter"]) == 2
-    assert "ended before its table was written; copy" in capsys.readouterr().err
+    assert "has the effects of revision 2, and the table is that of revision 1; copy" in capsys.readouterr().err
     shutil.copy(f"orbiter/ratio_revisions/{POINT}/revision_1.toml", FILE)
     assert main(["update-tables", "first.json", "--vehicle", "./orbiter"]) == 0
 

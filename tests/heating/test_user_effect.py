@@ -17,8 +17,8 @@ import pytest
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_csv_columns
 from sim_heating.cli import main
+from sim_heating.closure.batch import record_job
 from sim_heating.closure.search.trials.candidates import candidates
-from sim_heating.closure.several.batch import record_job
 from sim_heating.heating.effects import Effect, effects, flight, model_parameter, use
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import load_record

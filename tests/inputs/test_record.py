@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, csv_text, read_csv_columns, toml_text, write_csv
-from sim_heating.closure.several.batch import record_job, record_names
+from sim_heating.closure.batch import record_job, record_names
 from sim_heating.inputs.record import (
     Record,
     RecordFile,

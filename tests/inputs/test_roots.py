@@ -16,8 +16,8 @@ import pytest
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import with_digest, write_json
 from sim_heating.cli import main
+from sim_heating.closure.batch import find_records
 from sim_heating.closure.revise.update import prepare_update
-from sim_heating.closure.several.batch import find_records
 from sim_heating.inputs.ratio_sources import build_tables, write_tables
 from sim_heating.inputs.record import load_record, record_digest
 from sim_heating.inputs.scenario import load_scenario

@@ -65,4 +65,4 @@ def searched_among(record: Record, names: Sequence[str]) -> SearchResult:
     first = SearchRound(base, scored_trials(base, trials, forms), {}, forms=forms)
     none = hypothesis([base], {})
     found = scored(none, [hypothesis([t], forms) for t in trials])
-    return SearchResult(record, before, (first,), none, tuple(found), conclude(none, found))
+    return SearchResult(record, before, first, none, tuple(found), conclude(none, found))

@@ -62,45 +62,45 @@ def axial_steps(
         return None
     span = record.time_s[record.fit_mask() | record.holdout_mask()]
     t, a = flown.time_s, flown[COLUMN]
-    known = (
+    judged = (
         (np.abs(a) > min_acceleration_g) & (t >= np.min(span, initial=np.inf)) & (t <= np.max(span, initial=-np.inf))
     )
     half_window_s, blind_s, min_samples = WINDOW
-    if np.count_nonzero(known) < min_samples:
+    if np.count_nonzero(judged) < min_samples:
         return ()
-    t = t[known]
+    t = t[judged]
     # Over twice the dynamic pressure: the acceleration itself varies with density and speed throughout.
-    C = a[known] / (flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2)[known]
-    angles = np.column_stack([flown[n][known] for n in ANGLES])
+    C = a[judged] / (flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2)[judged]
+    angles = np.column_stack([flown[n][judged] for n in ANGLES])
     scan = [(_step(t, C, angles, at), at) for at in 0.5 * (t[1:] + t[:-1])]
     scanned = [(F, dof, size, at) for (F, dof, size), at in scan if dof > 0]
     # The number of places, as far apart as a step is not searched for, at which noise could have shown a step.
     windows = max(np.ptp(t) / half_window_s, 1.0) * half_window_s / blind_s
-    found: list[AxialStep] = []
+    steps: list[AxialStep] = []
     for F, dof, size, at in sorted(scanned, key=lambda s: -s[0]):
-        if all(abs(at - s.time_s) > half_window_s for s in found):
+        if all(abs(at - s.time_s) > half_window_s for s in steps):
             single = float(fdtrc(1, dof, F))
-            found.append(
+            steps.append(
                 AxialStep(float(at), size, float(-math.expm1(windows * math.log1p(-min(single, 1.0 - 1e-16)))))
             )
-        if len(found) == max_steps:
+        if len(steps) == max_steps:
             break
-    return tuple(found)
+    return tuple(steps)
 
 
 def _step(
-    t: FloatArray, C: FloatArray, angles: FloatArray, at: float, *, resolution: float = 1e-5
+    t: FloatArray, C: FloatArray, angles: FloatArray, step_s: float, *, resolution: float = 1e-5
 ) -> tuple[float, int, float]:
     """F of a step at a time, its degrees of freedom (0 where the window is too short), and its relative size.
 
     resolution : least residual of a coefficient, relative to it: digits of a file are not noise
     """
     half_window_s, blind_s, min_samples = WINDOW
-    window = np.abs(t - at) <= half_window_s
-    early, late = np.count_nonzero(window & (t < at - blind_s)), np.count_nonzero(window & (t > at + blind_s))
+    window = np.abs(t - step_s) <= half_window_s
+    early, late = np.count_nonzero(window & (t < step_s - blind_s)), np.count_nonzero(window & (t > step_s + blind_s))
     if min(early, late) < min_samples // 2:
         return 0.0, 0, 0.0
-    x = t[window] - at
+    x = t[window] - step_s
     centred = angles[window] - np.mean(angles[window], axis=0)
     # Angles and a trend are fitted alongside, since a manoeuvre changes the axial force as a step would.
     columns = [np.ones_like(x), x, *(v for v in centred.T if np.ptp(v) > 1e-3)]

@@ -157,8 +157,8 @@ class ResidualEvidence:
         if not significant:
             return []
         count = len(significant)
-        more = f" {count} of {len(self.loops)} excursions of an angle show it." if count > 1 else ""
-        return [significant[0].describe() + more]
+        count_line = f" {count} of {len(self.loops)} excursions of an angle show it." if count > 1 else ""
+        return [significant[0].describe() + count_line]
 
     def as_json(self) -> dict[str, Any]:
         """Its contents for closure.json."""
@@ -237,8 +237,8 @@ def _shape_fits(
 def ratio_at(prediction: Prediction, time_s: FloatArray) -> FloatArray | None:
     """(time,) heating ratio of a prediction at other times; None where there is no aerodynamic heating."""
     history = prediction.history
-    known = np.isfinite(history.ratio)
-    return np.interp(time_s, history.time_s[known], history.ratio[known]) if np.any(known) else None
+    finite = np.isfinite(history.ratio)
+    return np.interp(time_s, history.time_s[finite], history.ratio[finite]) if np.any(finite) else None
 
 
 def negative_s(residual: ResidualHeating, ratio: FloatArray, *, negative_sigmas: float = 2.0) -> float:
@@ -258,17 +258,17 @@ def flight_variables(residual: ResidualHeating) -> dict[str, FloatArray]:
     """
     record, t = residual.record, residual.time_s
     flown = conditions_of_record(record).at(t)
-    known = {*STATE, *HEATING, *DERIVED, *GROUND_TRACK, "q_add_W_m2"} - {"mach"}
-    names = [*RATIO_VARIABLES, *(n for n in flown.names if n not in known and n not in RATIO_VARIABLES)]
+    excluded = {*STATE, *HEATING, *DERIVED, *GROUND_TRACK, "q_add_W_m2"} - {"mach"}
+    names = [*RATIO_VARIABLES, *(n for n in flown.names if n not in excluded and n not in RATIO_VARIABLES)]
     wall = np.interp(t, residual.march_s, residual.input.temperature_K[:, 0])
     kind = wall_enthalpy_of(record.declared.heating.wall_enthalpy)
     pressure = np.maximum(flown["p_surface_Pa"], 1e-3)
     H_w = np.diagonal(wall_enthalpy_grid(kind, wall, pressure))
-    found = {n: flown[n] for n in names} | {WALL: wall}
+    variables = {n: flown[n] for n in names} | {WALL: wall}
     # In a ground test nothing flows, and the ratio of enthalpies has no meaning.
     if np.all(flown["H_r_J_kg"] > 0.0):
-        found[ENTHALPY] = H_w / flown["H_r_J_kg"]
-    return found | {TIME: t}
+        variables[ENTHALPY] = H_w / flown["H_r_J_kg"]
+    return variables | {TIME: t}
 
 
 def correlations(residual: ResidualHeating, variables: Mapping[str, FloatArray]) -> list[Correlation]:
@@ -276,17 +276,17 @@ def correlations(residual: ResidualHeating, variables: Mapping[str, FloatArray])
     fitted = residual.fitted
     t, d, w = residual.time_s, residual.delta_ratio[fitted], residual.sigma[fitted] ** -2.0
     resolved = float(np.trace(residual.input.covariance @ residual.input.information))
-    found = []
+    largest = []
     for name, v in variables.items():
         lags = (0.0,) if name == TIME else LAGS_S
         at_lags = [(_correlation(d, np.interp(t - lag, t, v)[fitted], w), lag) for lag in lags]
         value, lag = max(at_lags, key=lambda c: abs(c[0]))
         # A smoothed history has fewer independent points than knots: the trace counts those that the readings resolve.
         n = min(_effective_points(d, np.interp(t - lag, t, v)[fitted]), max(resolved, 3.0))
-        found.append((name, lag, value, n, _correlation_p_value(value, n)))
+        largest.append((name, lag, value, n, _correlation_p_value(value, n)))
     # The largest over all lags and variables is reported: chance has had as many trials.
     trials = sum(1 if name == TIME else len(LAGS_S) for name in variables)
-    corrected = [Correlation(*f, sidak_p_value(f[4], trials)) for f in found]
+    corrected = [Correlation(*f, sidak_p_value(f[4], trials)) for f in largest]
     return sorted(corrected, key=lambda c: -abs(c.value))
 
 
@@ -345,14 +345,14 @@ def active_spans(
         else:
             spans.append([int(k), int(k)])
     half = 0.5 * float(np.median(np.diff(t)))
-    found = []
+    active = []
     for first, last in spans:
-        own = slice(first, last + 1)
-        over = float(np.mean(d[own] / ratio[own])) if ratio is not None and np.all(ratio[own] > 0.0) else math.nan
-        found.append(
-            ActiveSpan(max(float(t[first]) - half, float(t[0])), float(t[last]) + half, float(np.mean(d[own])), over)
+        knots = slice(first, last + 1)
+        over = float(np.mean(d[knots] / ratio[knots])) if ratio is not None and np.all(ratio[knots] > 0.0) else math.nan
+        active.append(
+            ActiveSpan(max(float(t[first]) - half, float(t[0])), float(t[last]) + half, float(np.mean(d[knots])), over)
         )
-    long_enough = [a for a in found if a.end_s - a.start_s >= min_span_s]
+    long_enough = [a for a in active if a.end_s - a.start_s >= min_span_s]
     return _largest(long_enough)[:max_spans]
 
 

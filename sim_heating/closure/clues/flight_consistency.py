@@ -90,8 +90,8 @@ def flight_discrepancies(conditions: Conditions) -> list[Discrepancy]:
     if np.count_nonzero(fast) < FEWEST:
         return []
     flown = _evenly(conditions)
-    found = [d for relation in RELATIONS for d in _parts(flown, relation(flown))]
-    return sorted(found, key=lambda d: -d.sigmas)
+    discrepancies = [d for relation in RELATIONS for d in _parts(flown, relation(flown))]
+    return sorted(discrepancies, key=lambda d: -d.sigmas)
 
 
 def misfit_of_motion(conditions: Conditions) -> float:
@@ -124,14 +124,14 @@ def contradictions_of_motion(stated: Conditions, changed: Conditions) -> list[Di
     """
     if np.count_nonzero(changed["velocity_m_s"] > SLOWEST_M_S) < FEWEST:
         return []
-    before, after, found = _evenly(stated), _evenly(changed), list[Discrepancy]()
+    before, after, discrepancies = _evenly(stated), _evenly(changed), list[Discrepancy]()
     for relation in MOTION:
         was, becomes = relation(before), relation(after)
         if was is not None and becomes is not None and np.count_nonzero(was.judged) >= FEWEST:
             scatter = _scatter(was)
             largest = max((d.sigmas for d in _parts(before, was, scatter)), default=SIGMAS)
-            found += [d for d in _parts(after, becomes, scatter) if d.sigmas > largest]
-    return sorted(found, key=lambda d: -d.sigmas)
+            discrepancies += [d for d in _parts(after, becomes, scatter) if d.sigmas > largest]
+    return sorted(discrepancies, key=lambda d: -d.sigmas)
 
 
 def _evenly(conditions: Conditions, *, step_s: float = 1.0) -> Conditions:
@@ -194,8 +194,8 @@ def _low(flown: Conditions, *, highest_m: float = 80e3) -> BoolArray:
 
     highest_m : altitude [m] above which the mean molar mass of air changes, and drag with rarefaction
     """
-    known = (flown["p_inf_Pa"] > 0.0) & (flown["rho_kg_m3"] > 0.0) & (flown["T_inf_K"] > 0.0)
-    return np.asarray((flown["altitude_m"] < highest_m) & known)
+    positive = (flown["p_inf_Pa"] > 0.0) & (flown["rho_kg_m3"] > 0.0) & (flown["T_inf_K"] > 0.0)
+    return np.asarray((flown["altitude_m"] < highest_m) & positive)
 
 
 def _hypersonic(flown: Conditions) -> BoolArray:
@@ -203,11 +203,11 @@ def _hypersonic(flown: Conditions) -> BoolArray:
     return np.asarray(_low(flown) & (flown["velocity_m_s"] > SLOWEST_M_S))
 
 
-def _ratio(over: FloatArray, under: FloatArray, judged: BoolArray) -> FloatArray:
+def _ratio(numerator: FloatArray, denominator: FloatArray, judged: BoolArray) -> FloatArray:
     """Relative deviation of a ratio from its median over the judged samples; 0 elsewhere."""
-    found = np.ones_like(over)
-    np.divide(over, under, out=found, where=judged & (under > 0.0) & (over > 0.0))
-    return np.where(judged, found / np.median(found[judged]) - 1.0, 0.0) if np.any(judged) else np.zeros_like(over)
+    ratio = np.ones_like(numerator)
+    np.divide(numerator, denominator, out=ratio, where=judged & (denominator > 0.0) & (numerator > 0.0))
+    return np.where(judged, ratio / np.median(ratio[judged]) - 1.0, 0.0) if np.any(judged) else np.zeros_like(numerator)
 
 
 def _gas(flown: Conditions) -> _Relation:
@@ -228,9 +228,9 @@ def _hydrostatics(flown: Conditions, *, half_window_m: float = 1500.0) -> _Relat
     log_p, weight = (np.interp(level, z[order], v[order]) for v in (np.log(p), rho * _gravity(z) / p))
     column = np.concatenate(([0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]) * np.diff(level))))
     ends = np.clip(z + half_window_m, None, level[-1]), np.clip(z - half_window_m, level[0], None)
-    fell, held = (np.interp(ends[1], level, v) - np.interp(ends[0], level, v) for v in (log_p, -column))
+    fell, weighed = (np.interp(ends[1], level, v) - np.interp(ends[0], level, v) for v in (log_p, -column))
     deviation = np.zeros(len(flown))
-    deviation[judged] = np.divide(fell, held, out=np.ones_like(fell), where=held > 0.0) - 1.0
+    deviation[judged] = np.divide(fell, weighed, out=np.ones_like(fell), where=weighed > 0.0) - 1.0
     return _Relation(
         "hydrostatics",
         "the fall of pressure over the weight of the air is",
@@ -419,9 +419,9 @@ def _from_smooth(
         spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
         weight = np.minimum(1.0, huber_sigmas * spread / np.maximum(np.abs(residual), 1e-12))
     leverage = np.einsum("ij,jk,ik->i", A, np.linalg.pinv(A.T @ (A * weight[:, np.newaxis])), A)
-    together = LASTING_S / float(flown.time_s[1] - flown.time_s[0])
+    lasting = LASTING_S / float(flown.time_s[1] - flown.time_s[0])
     deviation[judged] = np.divide(residual, A @ fit, out=np.zeros(len(y)), where=A @ fit > 0.0)
-    noise[judged] = spread * np.sqrt(together * leverage)
+    noise[judged] = spread * np.sqrt(lasting * leverage)
     return deviation, noise
 
 

@@ -126,14 +126,14 @@ def manoeuvres(
         else:
             spans.append([int(k), int(k)])
     margin = int(np.ceil(margin_s / spacing))
-    found = [slice(max(a - margin, 0), min(b + margin, len(v) - 1) + 1) for a, b in spans]
-    return [s for s in found if s.stop - s.start >= min_knots and time_s[s.stop - 1] - time_s[s.start] <= window_s]
+    excursions = [slice(max(a - margin, 0), min(b + margin, len(v) - 1) + 1) for a, b in spans]
+    return [s for s in excursions if s.stop - s.start >= min_knots and time_s[s.stop - 1] - time_s[s.start] <= window_s]
 
 
-def _area_weights(v: FloatArray, own: slice) -> FloatArray:
+def _area_weights(v: FloatArray, knots: slice) -> FloatArray:
     """(knot,) weights whose product with delta_ratio is the area of the loop, closed by a chord."""
     row = np.zeros(len(v))
-    closed = np.append(v[own], v[own][0])
+    closed = np.append(v[knots], v[knots][0])
     step = np.diff(closed)
-    row[own] = 0.5 * (step + np.roll(step, 1))
+    row[knots] = 0.5 * (step + np.roll(step, 1))
     return row

@@ -57,12 +57,12 @@ def clock_fault(record: Record, *, min_correlation: float = 0.9, max_span_ratio:
             if not 1.0 / max_span_ratio < factor * read_s / flown_s < 1.2:
                 continue
             wrong = "thermocouples" if conditions_right else "flight conditions"
-            found = unit if (factor == seconds) == conditions_right else f"s where the other file has {unit}"
+            unit_text = unit if (factor == seconds) == conditions_right else f"s where the other file has {unit}"
             correlation = _correlation_at(record, factor, conditions_right)
             if correlation > min_correlation:
                 return DataFault(
                     CLOCK,
-                    f"{record.name}: the clock of the {wrong} is in {found}: measurements span {read_s:.4g} and "
+                    f"{record.name}: the clock of the {wrong} is in {unit_text}: measurements span {read_s:.4g} and "
                     f"conditions {flown_s:.4g}; with one of them multiplied by "
                     f"{factor if conditions_right else 1.0 / factor:g}, measured and predicted temperatures agree "
                     f"(correlation {correlation:.2f}). Give time_s in s.",
@@ -97,10 +97,10 @@ def _correlation_at(record: Record, factor: float, conditions_right: bool) -> fl
         return 0.0
     best = 0.0
     for measured, predicted in zip(other.temperatures_K(), indicated_K, strict=True):
-        known = np.isfinite(measured) & (other.time_s >= t[0]) & (other.time_s <= t[-1])
-        at = np.interp(other.time_s[known], t, predicted)
-        if np.count_nonzero(known) > 10 and np.ptp(at) > 0.0 and np.ptp(measured[known]) > 0.0:
-            best = max(best, float(np.corrcoef(measured[known], at)[0, 1]))
+        both = np.isfinite(measured) & (other.time_s >= t[0]) & (other.time_s <= t[-1])
+        at = np.interp(other.time_s[both], t, predicted)
+        if np.count_nonzero(both) > 10 and np.ptp(at) > 0.0 and np.ptp(measured[both]) > 0.0:
+            best = max(best, float(np.corrcoef(measured[both], at)[0, 1]))
     return best
 
 
@@ -152,15 +152,15 @@ def with_noise(record: Record) -> tuple[Record, list[str]]:
 
     With the noise of a misfit as that of the sensor every model would explain the record.
     """
-    found: dict[str, float] = {}
+    sigma_K: dict[str, float] = {}
     for sensor, T in zip(record.sensors, record.temperatures_K(record.sensors), strict=True):
         if sensor.noise_sigma_K is None:
             sigma = noise_of_readings(record.time_s, T, sensor.lsb_K)
-            found |= {} if sigma is None else {sensor.name: float(f"{sigma:.3g}")}
-    sensors = [s.model_copy(update={"noise_sigma_K": found.get(s.name, s.noise_sigma_K)}) for s in record.sensors]
+            sigma_K |= {} if sigma is None else {sensor.name: float(f"{sigma:.3g}")}
+    sensors = [s.model_copy(update={"noise_sigma_K": sigma_K.get(s.name, s.noise_sigma_K)}) for s in record.sensors]
     lines = [
         f"sensor {name}: no noise is declared; {sigma:g} K, from differences of neighbouring readings; declare "
         "noise_sigma_K where it is known"
-        for name, sigma in found.items()
+        for name, sigma in sigma_K.items()
     ]
-    return record.with_sensors(sensors) if found else record, lines
+    return record.with_sensors(sensors) if sigma_K else record, lines

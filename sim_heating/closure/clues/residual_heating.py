@@ -158,39 +158,42 @@ class ResidualHeating:
 def residual_heating(
     problem: FitProblem,
     values: FloatArray,
-    part: int = 0,
+    number: int = 0,
     disturbance: Disturbance | None = None,
-    without: Collection[str] = (),
+    omitted: Collection[str] = (),
 ) -> ResidualHeating:
     """The heating history that explains the residual of one record of a fit.
 
     problem, values : the fit; its samples are the readings, its values the model
-    part            : which of the fit's records
+    number          : which of the fit's records
     disturbance     : noise model of the history; None for the likeliest one
-    without         : names of sensors that are omitted
+    omitted         : names of sensors that are omitted
     raises          : RunError where the model cannot be marched
     """
-    own = problem.record_fits[part]
-    shift, channels = own.shift_s(values), [c for c in own.channels if c.sensor.name not in without]
+    record_fit = problem.record_fits[number]
+    shift, channels = record_fit.shift_s(values), [c for c in record_fit.channels if c.sensor.name not in omitted]
     # At the times shifted by the clock and with the correction for the mesh: what these explain is not missing heating.
     samples, order = filter_samples(
-        channels, own.sample_s + shift, own.mesh, own.sigma_K, own.values(values), own.correction_K,
-        lag=own.lag_offset(values, sensitive=False),
+        channels, record_fit.sample_s + shift, record_fit.mesh, record_fit.sigma_K, record_fit.values(values),
+        record_fit.correction_K,
+        lag=record_fit.lag_offset(values, sensitive=False),
     )  # fmt: skip
-    track = FilterTrack(own.model_at(values), own.mesh, samples, (), own.initial_K(values))
-    flown, flux = _with_reference_flux(own.conditions.at(own.time_s))
+    track = FilterTrack(record_fit.model_at(values), record_fit.mesh, samples, (), record_fit.initial_K(values))
+    flown, flux = _with_reference_flux(record_fit.conditions.at(record_fit.time_s))
     history = condition_history(flown)[np.newaxis]
-    smoothed = unknown_input(track, own.time_s, history, disturbance)
-    fitted = [s for s in problem.samples(values) if s.record_fit is own and s.channel in channels]
+    smoothed = unknown_input(track, record_fit.time_s, history, disturbance)
+    fitted = [s for s in problem.samples(values) if s.record_fit is record_fit and s.channel in channels]
     mean_K = np.concatenate([s.mean_K for s in fitted])
     with_K = np.empty_like(mean_K)
     with_K[order] = smoothed.read_K
     jacobian = np.concatenate([s.jacobian for s in fitted])[order]
     prior = np.array([p.sigma**-2.0 for p in problem.parameters])
     names = tuple(u.label for u in problem.unknowns)
-    sensors = _sensor_residuals(own, channels, mean_K, with_K)
-    span = (float(own.sample_s[0]), float(own.sample_s[-1]))
-    return ResidualHeating(own.record, smoothed, sensors, jacobian, prior, names, span, own.time_s, own.mesh, flux)
+    sensors = _sensor_residuals(record_fit, channels, mean_K, with_K)
+    span = (float(record_fit.sample_s[0]), float(record_fit.sample_s[-1]))
+    return ResidualHeating(
+        record_fit.record, smoothed, sensors, jacobian, prior, names, span, record_fit.time_s, record_fit.mesh, flux
+    )
 
 
 def _with_reference_flux(
@@ -212,14 +215,14 @@ def _with_reference_flux(
 
 
 def _sensor_residuals(
-    part: RecordFit, channels: Sequence[FittedChannel], mean_K: FloatArray, with_K: FloatArray
+    record_fit: RecordFit, channels: Sequence[FittedChannel], mean_K: FloatArray, with_K: FloatArray
 ) -> tuple[SensorResidual, ...]:
     """Residuals of each channel, out of readings concatenated in the order of the channels."""
     ends = np.cumsum([len(c.samples) for c in channels])[:-1]
     residuals = []
     for c, before, after in zip(channels, np.split(mean_K, ends), np.split(with_K, ends), strict=True):
-        t, floor = part.sample_s[c.samples], c.sensor.noise_floor_K(float(part.sigma_K[c.number]))
-        read = part.record.thermocouples[c.sensor.column][np.searchsorted(part.record.time_s, t)]
+        t, floor = record_fit.sample_s[c.samples], c.sensor.noise_floor_K(float(record_fit.sigma_K[c.number]))
+        read = record_fit.record.thermocouples[c.sensor.column][np.searchsorted(record_fit.record.time_s, t)]
         residuals.append(SensorResidual(c.sensor, t, read, read - before, read - after, floor))
     return tuple(residuals)
 

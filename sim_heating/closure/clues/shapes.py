@@ -126,11 +126,11 @@ def _without_level(A: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray
 
     A fit of the flow's heating has a magnitude among its parameters; that of a wall without flow has none.
     """
-    along = A.sum(axis=1)
-    power = float(along.sum())
+    level = A.sum(axis=1)
+    power = float(level.sum())
     if not power > 0.0:
         return A, b
-    return A - np.outer(along, along) / power, b - along * float(b.sum()) / power
+    return A - np.outer(level, level) / power, b - level * float(b.sum()) / power
 
 
 def trials_factor(profiled: ProfiledInformation, columns: FloatArray, seed: int = 0, *, draw_count: int = 400) -> float:
@@ -199,18 +199,18 @@ def _forms(name: str, v: FloatArray) -> list[tuple[str, float]]:
     return [*forms, ("magnitude", 0.0)] if np.min(v) < 0.0 < np.max(v) else forms
 
 
-def _values(time_s: FloatArray, v: FloatArray, form: str, at: float, *, sharpness: float = 0.02) -> FloatArray:
+def _values(time_s: FloatArray, v: FloatArray, form: str, threshold: float, *, sharpness: float = 0.02) -> FloatArray:
     """(knot,) a form of a variable.
 
     sharpness : width of a step over the range of its variable
     """
     if form == "square":
-        return (v - at) ** 2
+        return (v - threshold) ** 2
     if form == "magnitude":
         return np.abs(v)
     if form == "above":
-        return np.maximum(v - at, 0.0)
+        return np.maximum(v - threshold, 0.0)
     if form == "step":
         width = sharpness * np.ptp(v)
-        return 0.5 + 0.5 * np.tanh((v - at) / width) if width > 0.0 else np.heaviside(v - at, 0.5)
+        return 0.5 + 0.5 * np.tanh((v - threshold) / width) if width > 0.0 else np.heaviside(v - threshold, 0.5)
     return np.gradient(v, time_s) if form == "rate" else v

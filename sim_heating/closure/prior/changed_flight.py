@@ -103,26 +103,26 @@ def _changed(record: Record, columns: dict[str, FloatArray]) -> Record:
     """The record with changed columns of density, velocity or angle of attack, and all that follows from them."""
     before, flown = record.conditions, record.conditions.with_columns(**columns)
     density, speed = (_over(flown[name], before[name]) for name in ("rho_kg_m3", "velocity_m_s"))
-    more: dict[str, FloatArray] = {"log10_re": flown["log10_re"] + np.log10(density * speed)}
+    following: dict[str, FloatArray] = {"log10_re": flown["log10_re"] + np.log10(density * speed)}
     if "q_Pa" in flown:
-        more["q_Pa"] = flown["q_Pa"] * density * speed**2
+        following["q_Pa"] = flown["q_Pa"] * density * speed**2
     if "p_surface_Pa" in flown:
-        more["p_surface_Pa"] = _surface_pressure(before, flown, density * speed**2)
+        following["p_surface_Pa"] = _surface_pressure(before, flown, density * speed**2)
     if record.declared.heating.reference == "columns":
         recovery = record.declared.heating.recovery_of_point
         # "none" has no film coefficient, only the recovery enthalpy of the point
         H_r = [reference_heating("none", c, recovery=recovery)[1] for c in (before, flown)]
-        more["H_r_J_kg"] = flown["H_r_J_kg"] + H_r[1] - H_r[0]
-        more["h_ref_kg_m2_s"] = flown["h_ref_kg_m2_s"] * np.sqrt(density) * speed
-    return replace(record, conditions=flown.with_columns(**more))
+        following["H_r_J_kg"] = flown["H_r_J_kg"] + H_r[1] - H_r[0]
+        following["h_ref_kg_m2_s"] = flown["h_ref_kg_m2_s"] * np.sqrt(density) * speed
+    return replace(record, conditions=flown.with_columns(**following))
 
 
-def _over(values: FloatArray, before: FloatArray) -> FloatArray:
+def _over(values: FloatArray, reference: FloatArray) -> FloatArray:
     """Ratio of two columns, 1 where the second is 0."""
-    return np.divide(values, before, out=np.ones_like(values), where=before != 0.0)
+    return np.divide(values, reference, out=np.ones_like(values), where=reference != 0.0)
 
 
-def _surface_pressure(before: Conditions, flown: Conditions, pressure: FloatArray) -> FloatArray:
+def _surface_pressure(stated: Conditions, flown: Conditions, pressure: FloatArray) -> FloatArray:
     """Surface pressure [Pa] in changed conditions: its rise goes with the dynamic pressure.
 
     pressure : (time,) changed over stated dynamic pressure [-]
@@ -131,13 +131,13 @@ def _surface_pressure(before: Conditions, flown: Conditions, pressure: FloatArra
 
     The pressure coefficient of the stagnation point, cp_max, changes by less than 2 % for each km/s.
     """
-    rise, turned = (before["p_surface_Pa"] - before["p_inf_Pa"]) * pressure, flown["alpha_deg"] - before["alpha_deg"]
+    rise, turned = (stated["p_surface_Pa"] - stated["p_inf_Pa"]) * pressure, flown["alpha_deg"] - stated["alpha_deg"]
     if np.any(turned):
-        whole = FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
-        largest = surface_pressure(whole, before) - before["p_inf_Pa"]
-        part = np.divide(rise, largest, out=np.zeros_like(rise), where=(largest > 0.0) & (rise > 0.0))
-        angle, heated = np.degrees(np.arcsin(np.sqrt(np.minimum(part, 1.0)))), heated_part(before)
+        stagnation = FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
+        largest = surface_pressure(stagnation, stated) - stated["p_inf_Pa"]
+        fraction = np.divide(rise, largest, out=np.zeros_like(rise), where=(largest > 0.0) & (rise > 0.0))
+        angle, heated = np.degrees(np.arcsin(np.sqrt(np.minimum(fraction, 1.0)))), heated_part(stated)
         # a windward surface follows the angle of attack; the pressure of a leeward one does not
-        if np.std((angle - before["alpha_deg"])[heated]) < 0.5 * np.std(before["alpha_deg"][heated]):
+        if np.std((angle - stated["alpha_deg"])[heated]) < 0.5 * np.std(stated["alpha_deg"][heated]):
             rise = largest * np.sin(np.radians(np.clip(angle + turned, 0.0, 90.0))) ** 2
     return np.asarray(flown["p_inf_Pa"] + rise)

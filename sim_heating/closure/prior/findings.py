@@ -20,11 +20,10 @@ from scipy.special import chdtrc
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import MODEL
 from sim_heating.closure.prior.table import TablePrior
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.observability import variables_of
 
-MOST_SIGMA = 3.0
-"""Sigmas of table and bounds together by which an estimate may be off."""
 VARIABLE_WORDS = ("alpha", "beta", "Reynolds-number", "elevon", "body-flap")
 """The ratio variables in words."""
 UNIT_WORDS = {"1": "", "1/deg": "/deg", "1/deg2": "/deg2"}
@@ -59,17 +58,17 @@ def table_findings(fit: FitResult, prior: TablePrior | None) -> list[TableFindin
     value, C = fit.fit.values[of_fit], fit.bounds.covariance[np.ix_(of_fit, of_fit)]
     S = prior.covariance[np.ix_(of_prior, of_prior)] + C
     # a parameter without a bound is not off anything
-    known = np.isfinite(np.diag(S))
-    names = [n for n, k in zip(names, known, strict=True) if k]
-    value, C, S = value[known], C[np.ix_(known, known)], S[np.ix_(known, known)]
+    bounded = np.isfinite(np.diag(S))
+    names = [n for n, k in zip(names, bounded, strict=True) if k]
+    value, C, S = value[bounded], C[np.ix_(bounded, bounded)], S[np.ix_(bounded, bounded)]
     estimates = {n: (float(v), float(s)) for n, v, s in zip(names, value, np.sqrt(np.diag(C)), strict=True)}
     z = value / np.sqrt(np.diag(S))
-    found = [
+    findings = [
         TableFinding(table_error(n, v[0], abs(float(u))), {n: v}, abs(float(u)), math.erfc(abs(u) / math.sqrt(2.0)))
         for (n, v), u in zip(estimates.items(), z, strict=True)
-        if abs(u) > MOST_SIGMA
+        if abs(u) > POLICY.min_sigmas
     ]
-    return sorted(found, key=lambda f: -f.sigmas) or _combination(estimates, z, S)
+    return sorted(findings, key=lambda f: -f.sigmas) or _combination(estimates, z, S)
 
 
 def _combination(
@@ -92,7 +91,7 @@ def _combination(
     eigenvalues, vectors = np.linalg.eigh(S / np.outer(sigma, sigma))
     off = (vectors.T @ z) / np.sqrt(np.maximum(eigenvalues, 0.0) + independent_share)
     p_value = float(chdtrc(len(off), float(off @ off)))
-    if p_value > math.erfc(MOST_SIGMA / math.sqrt(2.0)):
+    if p_value > math.erfc(POLICY.min_sigmas / math.sqrt(2.0)):
         return []
     k = int(np.argmax(np.abs(off)))
     order = np.argsort(-np.abs(vectors[:, k]))
@@ -126,5 +125,5 @@ def table_word(name: str) -> str:
     return f"{second}{'-'.join(variables)} derivative"
 
 
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join((", ".join(words[:-1]), words[-1])) if len(words) > 1 else words[0]
+def _listed(items: Sequence[str]) -> str:
+    return " and ".join((", ".join(items[:-1]), items[-1])) if len(items) > 1 else items[0]

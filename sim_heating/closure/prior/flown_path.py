@@ -103,14 +103,14 @@ def path_at(record: Record, t: FloatArray, transition: EffectUse | None) -> Flow
     t          : (sample,) times within the conditions [s]
     transition : the transition of the fit, None without one
     """
-    whole = conditions_of_record(record)
-    flown = whole.at(t)
+    conditions = conditions_of_record(record)
+    flown = conditions.at(t)
     x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
     # Weighted by the square of the heat flux, on which the temperatures depend.
     weight = (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2
     turbulent = np.zeros(len(t))
     if transition is not None:
-        turbulent = np.interp(t, whole.time_s, intermittency_along(transition, whole))
+        turbulent = np.interp(t, conditions.time_s, intermittency_along(transition, conditions))
     declared = declared_ratio(record.ratio_table, x)
     return FlownPath(x, weight, declared, turbulent, turbulent_over_laminar(record, x, declared))
 
@@ -120,12 +120,12 @@ def turbulent_over_laminar(record: Record, x: FloatArray, declared: FloatArray) 
 
     x : (sample, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg];  declared : (sample,) laminar ratio [-]
     """
-    found = np.ones(len(x))
+    quotient = np.ones(len(x))
     if record.turbulent is not None:
         # A laminar ratio of 0 heats nothing, in either state of the boundary layer.
         rises = declared != 0.0
-        found[rises] = declared_ratio(record.turbulent, x)[rises] / declared[rises]
-    return found
+        quotient[rises] = declared_ratio(record.turbulent, x)[rises] / declared[rises]
+    return quotient
 
 
 def projection(

@@ -125,13 +125,13 @@ class SmoothFlightError:
         One value of each but the density, whose relative error has one at each knot.
         """
         names, count = [name for name, _ in self.directions], len(self.directions)
-        found = {n: (s * np.eye(count)[[i]], s) for i, (n, s) in enumerate(self.directions)}
+        rows_by_name = {n: (s * np.eye(count)[[i]], s) for i, (n, s) in enumerate(self.directions)}
         of_density = [i for i, n in enumerate(names) if n == DENSITY]
         if of_density:
             rows = np.zeros((len(of_density), count))
             rows[:, of_density] = self.uncertainty.density_relative * self._density_root
-            found[DENSITY] = rows, self.uncertainty.density_relative
-        return found
+            rows_by_name[DENSITY] = rows, self.uncertainty.density_relative
+        return rows_by_name
 
     def record(self, f: FloatArray) -> Record:
         """The record with the reference heating and the surface pressure of the flight that differs.

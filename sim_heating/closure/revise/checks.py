@@ -72,8 +72,8 @@ def _check_correlation(estimate: Estimate, labels: list[str], name: str, *, min_
     pairs = [(f"{a}{PAIR}{b}", f"{b}{PAIR}{a}") for a, b in of_one_point]
     missing = [pair for pair, turned in pairs if not {pair, turned} & estimate.correlation.keys()]
     if missing:
-        found = f"{len(missing)} of {len(pairs)} pairs are missing, `{missing[0]}` first"
-        raise InputError(f"{name}, [correlation]: {found}; estimate it again")
+        lacking = f"{len(missing)} of {len(pairs)} pairs are missing, `{missing[0]}` first"
+        raise InputError(f"{name}, [correlation]: {lacking}; estimate it again")
     values, vectors = np.linalg.eigh(estimate.correlation_matrix(tuple(labels)))
     if labels and values[0] < min_eigenvalue:
         alike = " and ".join(label for label, v in zip(labels, vectors[:, 0], strict=True) if abs(v) > 0.3)
@@ -88,7 +88,7 @@ def _check_reference(estimate: Estimate, labels: list[str], name: str, *, roundi
 
     rounding : by how much a reference condition may lie outside what was flown [deg, -]: the rounding of a mean
     """
-    terms = {part for label in labels for part in label.partition(AT)[0].rstrip("2").split("_")[1:]}
+    terms = {term for label in labels for term in label.partition(AT)[0].rstrip("2").split("_")[1:]}
     for short, variable in zip(SHORT_NAMES, RATIO_VARIABLES, strict=True):
         flown, about = estimate.excursions.get(variable), getattr(estimate.reference_condition, variable)
         if short in terms and flown is not None and not flown.min - rounding <= about <= flown.max + rounding:

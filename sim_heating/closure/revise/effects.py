@@ -81,7 +81,7 @@ def effects_from_fit(
     path: Path,
     point: ControlPoint,
     flown: str,
-    made: str,
+    file: str,
     *,
     digits: int = 6,
 ) -> FittedEffects:
@@ -90,7 +90,7 @@ def effects_from_fit(
     flight, table   : the estimate as evidence, and the ratio table updated by it
     turbulent       : the turbulent table updated by it, None where it stays
     path            : the control point's file
-    flown, made     : records and times, and the revision's own file, for the `source` of an effect
+    flown, file     : records and times, and the revision's own file, for the `source` of an effect
     raises          : InputError where an effect is unknown, a value outside its bounds, or the file cannot be edited
     digits : significant digits of a written value, far below any sigma
     """
@@ -121,7 +121,7 @@ def effects_from_fit(
     after = _merged(point.effects, fitted)
     check_count(after, point.name)
     raw = raw_text(path)
-    declared = [_declaration(u, estimate, tuple(estimated[u.effect.name]), flown, made) for u in fitted]
+    declared = [_declaration(u, estimate, tuple(estimated[u.effect.name]), flown, file) for u in fitted]
     return FittedEffects(
         path=path,
         raw=raw,
@@ -236,14 +236,14 @@ def _merged(declared: Sequence[EffectUse], fitted: Sequence[EffectUse]) -> tuple
 
 
 def _declaration(
-    used: EffectUse, estimate: Estimate, estimated: Sequence[str], flown: str, made: str
+    used: EffectUse, estimate: Estimate, estimated: Sequence[str], flown: str, file: str
 ) -> dict[str, Any]:
     """An effect as a control point's file declares it: the estimated values, and those that are not nominal."""
     nominal = {p.name: p.value for p in used.effect.parameters}
     parameters = {n: v for n, v in parameter_values(used).items() if n in estimated or v != nominal[n]}
     name = used.effect.name
     sigma = ", ".join(f"{n} +- {estimate.parameters[f'{EFFECT_PREFIX}{name}.{n}'].sigma:.2g}" for n in estimated)
-    return {"name": name, "parameters": parameters, "source": f"flight {flown}; {sigma}; {made}"}
+    return {"name": name, "parameters": parameters, "source": f"flight {flown}; {sigma}; {file}"}
 
 
 def edit_effects(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) -> str:
@@ -253,21 +253,23 @@ def edit_effects(raw: str, declared: Sequence[Mapping[str, Any]], path: Path) ->
     """
     mark, text = (BOM, raw[1:]) if raw.startswith(BOM) else ("", raw)
     try:
-        wanted = tomlkit.parse(text).unwrap()
-        wanted["effect"] = [*wanted.get("effect", [])]
-        for one in declared:
-            text = _with_effect(text, one)
-            at = next((i for i, e in enumerate(wanted["effect"]) if e["name"] == one["name"]), len(wanted["effect"]))
-            wanted["effect"][at : at + 1] = [dict(one)]
-        found = tomlkit.parse(text).unwrap()
+        expected = tomlkit.parse(text).unwrap()
+        expected["effect"] = [*expected.get("effect", [])]
+        for new in declared:
+            text = _with_effect(text, new)
+            at = next(
+                (i for i, e in enumerate(expected["effect"]) if e["name"] == new["name"]), len(expected["effect"])
+            )
+            expected["effect"][at : at + 1] = [dict(new)]
+        edited = tomlkit.parse(text).unwrap()
     except TOMLKitError as error:
         raise InputError(f"{display_path(path)}: cannot be edited ({error}); write its [[effect]] by hand") from None
     # The edit is made on the text, to keep comments. Read back, it must differ in this effect and in nothing else.
-    if found != wanted:
+    if edited != expected:
         raise InputError(
             f"{display_path(path)}: cannot take the effect without other changes; write its [[effect]] by hand"
         )
-    check(found, ControlPointFile, display_path(path))
+    check(edited, ControlPointFile, display_path(path))
     return mark + text
 
 

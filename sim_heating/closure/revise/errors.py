@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX
 from sim_heating.closure.revise.evidence import OF_START, fitted_use, is_effect
+from sim_heating.closure.revise.revision_file import HeldFit, holds
 from sim_heating.closure.revise.update import TableUpdate
 from sim_heating.estimation.record_fit import marched_from, sensor_errors
 from sim_heating.estimation.report.estimate_file import FittedStart
@@ -26,8 +27,6 @@ from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.predict import predict
 
-HELD = 1.15
-"""Error with the new table over that of the fit [-] up to which the table counts as holding the fit."""
 REST = "the form of its ratio between nodes, and heating of which nothing was read"
 """What is left where all else is added."""
 NOT_MARCHED = (EFFECT_PREFIX, SENSOR_PREFIX, OF_START, *RECORD_PARAMETERS)
@@ -41,17 +40,17 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
     returns : record -> segments -> before, after; None for segments that do not exist
     raises  : InputError where a record is of another control point, or over another reference heating
     """
-    found: dict[str, dict[str, Any]] = {}
+    errors: dict[str, dict[str, Any]] = {}
     for record in records:
         _check_comparable(update, record)
         residuals = {}
         for when, (model, flow) in _models(update, record).items():
             residuals[when] = _residual_K(record, model, flow)
         masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
-        found[record.name] = {
-            part: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for part, mask in masks.items()
+        errors[record.name] = {
+            segment: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for segment, mask in masks.items()
         }
-    return found
+    return errors
 
 
 def _models(update: TableUpdate, record: Record) -> dict[str, tuple[PointModel, EdgeFlow]]:
@@ -74,35 +73,11 @@ def rmse_with_tables_K(record: Record, vehicle: Vehicle, start: FittedStart | No
     start  : where the march begins, as the fit of the record states it; by default at the first conditions
     raises : InputError where the vehicle has no such control point, or its table is over another reference heating
     """
-    found = pooled_rmse_K(_residual_K(record, *point_with_vehicle_table(record, vehicle), start), record.fit_mask())
-    return math.nan if found is None else float(found["rmse_K"])
+    errors = pooled_rmse_K(_residual_K(record, *point_with_vehicle_table(record, vehicle), start), record.fit_mask())
+    return math.nan if errors is None else float(errors["rmse_K"])
 
 
 # What the tables hold of the fit --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class HeldFit:
-    """How well the new tables hold a fit, on the fitted samples of one of its records.
-
-    noise_floor_K  : of the record [K]
-    fit_K          : RMSE of the fit [K]
-    before_K, after_K : with the tables before and after [K], from the start of the fit
-    from_entry_K   : with the new tables from the first row of the conditions on [K]
-    not_held       : what else the fit has -> by how much it would reduce the error, as a root of squares [K]
-    """
-
-    noise_floor_K: float
-    fit_K: float
-    before_K: float
-    after_K: float
-    from_entry_K: float
-    not_held: dict[str, float]
-
-    @property
-    def is_held(self) -> bool:
-        """Whether the error with the new tables is that of the fit, to HELD."""
-        return self.after_K <= HELD * self.fit_K
 
 
 def held_fits(update: TableUpdate) -> dict[str, HeldFit]:
@@ -125,8 +100,8 @@ def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None, *,
 
     def rmse_K(model: PointModel, flow: EdgeFlow, begin: FittedStart | None = start, **of_readings: Any) -> float:
         residual = _residual_K(record, model, flow, begin, **of_readings)
-        found = pooled_rmse_K(residual, mask)
-        return math.nan if found is None else float(found["rmse_K"])
+        errors = pooled_rmse_K(residual, mask)
+        return math.nan if errors is None else float(errors["rmse_K"])
 
     readings: dict[str, Any] = {
         "skew_s": values.get(CLOCK_SKEW.name, 0.0),
@@ -136,17 +111,20 @@ def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None, *,
     after_K = rmse_K(*models["after"])
     from_entry_K = after_K if start is None else rmse_K(*models["after"], begin=None)
     causes: dict[str, float] = {}
-    if not after_K <= HELD * fit_K:
+    if not holds(after_K, fit_K):
         missing = list(_missing(update, parameters, readings))
         for m in missing:
             causes[m.what] = _reduction(after_K, rmse_K(*_with(models["after"], fit, [m]), **m.of_readings))
         every = {key: value for m in missing for key, value in m.of_readings.items()}
         causes[REST] = _reduction(rmse_K(*_with(models["after"], fit, missing), **every), fit_K)
-    named = {what: loss for what, loss in causes.items() if loss > least_loss * after_K}
+    named = {cause: loss for cause, loss in causes.items() if loss > least_loss * after_K}
     if start is not None and (loss := _reduction(from_entry_K, after_K)) > least_loss * from_entry_K:
         named[f"heating before {start.time_s:g} s, where the fit begins"] = loss
     before_K = rmse_K(*models["before"])
-    return HeldFit(record.noise_floor_K(), fit_K, before_K, after_K, from_entry_K, named)
+    return HeldFit(
+        noise_floor_K=record.noise_floor_K(), fit_K=fit_K, before_K=before_K, after_K=after_K,
+        from_entry_K=from_entry_K, not_held=named,
+    )  # fmt: skip
 
 
 class _Missing(NamedTuple):
@@ -159,10 +137,10 @@ class _Missing(NamedTuple):
 
 
 def _with(
-    after: tuple[PointModel, EdgeFlow], fit: PointModel, missing: Sequence[_Missing]
+    revised: tuple[PointModel, EdgeFlow], fit: PointModel, missing: Sequence[_Missing]
 ) -> tuple[PointModel, EdgeFlow]:
     """The model with the tables after, and what they have not of the fit."""
-    model, flow = after
+    model, flow = revised
     parameters, effects = dict(model.parameters), model.effects
     for m in missing:
         parameters |= m.parameters
@@ -170,9 +148,9 @@ def _with(
     return replace(model, parameters=parameters, effects=effects, reference=fit.reference), flow
 
 
-def _reduction(whole: float, without: float) -> float:
+def _reduction(total: float, remaining: float) -> float:
     """sqrt(whole^2 - without^2), 0 where that is negative."""
-    return math.sqrt(max(whole**2 - without**2, 0.0))
+    return math.sqrt(max(total**2 - remaining**2, 0.0))
 
 
 def _values(update: TableUpdate, record: Record) -> dict[str, float]:

@@ -94,8 +94,8 @@ class FlightEvidence:
             parts.append((turbulent, self.path.turbulent / self.path.by_table))
         at_zero = self.at_zero if with_effects else self.P @ self.path.declared
         value, sigma = -at_zero, np.zeros(len(at_zero))
-        for table, part in parts:
-            rows = csr_array(self.P @ (diags_array(part) @ node_weights(table.prior.axes, self.path.x)).toarray())
+        for table, fraction in parts:
+            rows = csr_array(self.P @ (diags_array(fraction) @ node_weights(table.prior.axes, self.path.x)).toarray())
             value = value + rows @ table.ratio.ravel()
             sigma = sigma + table.sigma_along(rows)
         return value, sigma
@@ -138,48 +138,29 @@ def flight_evidence(
     raises    : InputError where the ratio is over another reference heating, the path leaves the table, or the records
                 are not those of the estimate
     """
-    if not estimate.converged:
-        raise InputError(
-            "the estimate did not converge, so nothing of it goes into a table; estimate again with fewer parameters"
-        )
-    if point.ratio.sigma is None:
-        raise InputError(f"{point.declared.ratio_table}: has no sigma column to weigh the flight against; add one")
-    names = ratio_names(estimate)
-    others = [n for n in estimate.parameters if n not in names]
-    effects = any(is_effect(n) for n in others)
-    if not names and not effects:
-        raise InputError(
-            "the estimate holds no ratio parameter and no effect, and a vehicle's tables take no other; estimate one"
-        )
-    # The table enters the update by its own sigma; as the prior of the fit it would count twice.
-    with_prior = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
-    if with_prior is not None:
-        raise InputError(
-            f"{with_prior} was estimated with a prior, which is the table itself; estimate it with a flat one"
-        )
+    _check_weighable(estimate, point)
     for record in records:
         check_reference(record, vehicle, point)
+    names = ratio_names(estimate)
+    others = [n for n in estimate.parameters if n not in names]
     path, outside = _path(estimate, records), 0
     in_table = _in_table(estimate, point, path)
     if names or in_table:
         path, outside = _inside(path, point)
-    has_slope = [len(axis) > 1 for axis in point.ratio.axes]
-    second = [has_slope[i] and has_slope[j] for i, j in SECOND_ORDER]
-    possible = dict(zip((p.name for p in RATIO), (True, True, *has_slope, *second), strict=True))
-    written = tuple(n for n in names if possible[n])
-    if not written and not effects:
+    written = _representable(names, point)
+    if not written and not any(is_effect(n) for n in others):
         raise InputError(f"the table of {point.name} has too few nodes for {', '.join(names)}; add nodes there")
     fit = _FittedRatio(estimate, written, in_table, records[0])
     by_table = turbulent is not None and _by_table(fitted_use(estimate, TRANSITION))
-    part = np.where(by_table, 1.0 - path.turbulent, 1.0)
+    laminar_part = np.where(by_table, 1.0 - path.turbulent, 1.0)
     P, rows = np.zeros((0, len(path.x))), np.zeros((0, point.ratio.ratio.size))
     if names:
         kept = [names.index(n) for n in written]
         P = projection(names, path, fit.about)[kept]
         # H = P W, with the multilinear weights W
-        rows = np.asarray((node_weights(point.ratio.axes, path.x).T @ (P * part).T).T)
+        rows = np.asarray((node_weights(point.ratio.axes, path.x).T @ (P * laminar_part).T).T)
     at_zero = P @ (path.declared + fit.added(path.x))
-    value = P @ (part * fit.ratio(path.x, path.declared))
+    value = P @ (laminar_part * fit.ratio(path.x, path.declared))
     nodes = np.flatnonzero(np.any(rows != 0.0, axis=0))
     evidence = Evidence(written, nodes, rows[:, nodes], value, estimate.covariance(written))
     flown: list[FlownRatio | None] = [None, None]
@@ -193,6 +174,38 @@ def flight_evidence(
     return FlightEvidence(
         evidence, rows, at_zero, P, path, outside, flown[0], flown[1], in_table, dict(sorted(not_written.items()))
     )
+
+
+def _check_weighable(estimate: Estimate, point: ControlPoint) -> None:
+    """Check that an estimate has something for a point's table, and that the two can be weighed against each other.
+
+    raises : InputError that states what to do
+    """
+    if not estimate.converged:
+        raise InputError(
+            "the estimate did not converge, so nothing of it goes into a table; estimate again with fewer parameters"
+        )
+    if point.ratio.sigma is None:
+        raise InputError(f"{point.declared.ratio_table}: has no sigma column to weigh the flight against; add one")
+    names = ratio_names(estimate)
+    if not names and not any(map(is_effect, estimate.parameters)):
+        raise InputError(
+            "the estimate holds no ratio parameter and no effect, and a vehicle's tables take no other; estimate one"
+        )
+    # The table enters the update by its own sigma; as the prior of the fit it would count twice.
+    with_prior = next((n for n in names if estimate.parameters[n].prior_sigma is not None), None)
+    if with_prior is not None:
+        raise InputError(
+            f"{with_prior} was estimated with a prior, which is the table itself; estimate it with a flat one"
+        )
+
+
+def _representable(names: Sequence[str], point: ControlPoint) -> tuple[str, ...]:
+    """Parameters of the linear model that the nodes of a point's table can represent."""
+    has_slope = [len(axis) > 1 for axis in point.ratio.axes]
+    second = [has_slope[i] and has_slope[j] for i, j in SECOND_ORDER]
+    possible = dict(zip((p.name for p in RATIO), (True, True, *has_slope, *second), strict=True))
+    return tuple(n for n in names if possible[n])
 
 
 def _evenly(count: int, *, most_samples: int = 240) -> BoolArray:
@@ -217,8 +230,8 @@ def _in_table(estimate: Estimate, point: ControlPoint, path: FlownPath) -> tuple
     """The estimated effects that a ratio table can hold, and that the vehicle does not declare as effects."""
     declared = {u.effect.name for u in point.effects}
     labels = [n.removeprefix(EFFECT_PREFIX).rpartition(".")[0] for n in estimate.parameters if is_effect(n)]
-    found = [fitted_use(estimate, name) for name in dict.fromkeys(labels) if name not in declared]
-    return tuple(used for used in found if used is not None and is_of_table(used, path.x[_evenly(len(path.x))]))
+    fitted = [fitted_use(estimate, name) for name in dict.fromkeys(labels) if name not in declared]
+    return tuple(used for used in fitted if used is not None and is_of_table(used, path.x[_evenly(len(path.x))]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,11 +277,11 @@ class _FittedRatio:
 
         A parameter without a sigma, as one on its bound, is fixed.
         """
-        known = self.estimate.parameters
+        estimates = self.estimate.parameters
         labels, columns = self.names, [basis(self.names, x, self.about, declared)] if self.names else []
         for used in self.in_table:
-            own = {label(used, p.name): p.name for p in used.effect.parameters}
-            free = {k: n for k, n in own.items() if k in known and known[k].sigma > 0.0}
+            by_label = {label(used, p.name): p.name for p in used.effect.parameters}
+            free = {k: n for k, n in by_label.items() if k in estimates and estimates[k].sigma > 0.0}
             labels = (*labels, *free)
             columns.append(derivatives(used, tuple(free.values()), x, self.about))
         return labels, np.concatenate(columns, axis=1)
@@ -278,8 +291,8 @@ def _marched(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
     """The samples on which the fitted temperatures of all records depend, at most `most_samples`."""
     transition, parts = fitted_use(estimate, TRANSITION), []
     for i, record in enumerate(records):
-        whole = [[float(record.time_s[0]), float(record.time_s[-1])]]
-        segments = record.declared.segments.fit or whole if estimate.segments is None else estimate.segments[i]
+        record_span = [[float(record.time_s[0]), float(record.time_s[-1])]]
+        segments = record.declared.segments.fit or record_span if estimate.segments is None else estimate.segments[i]
         start = estimate.starts[i] if estimate.starts is not None else None
         begin = float(record.conditions.time_s[0]) if start is None else start.time_s
         if start is None and any(n.startswith(OF_START) for n in estimate.parameters):
@@ -308,10 +321,10 @@ def _flown(
     # (dT/dr)^2 of a wall near radiation equilibrium at equal ratio; path.weight is the square of the heat flux.
     weight = path.weight**0.25
     weight = weight / np.sum(weight)
-    part = np.ones(len(path.x))
+    fraction = np.ones(len(path.x))
     if by_table:
-        part = path.turbulent if is_turbulent else 1.0 - path.turbulent
-    weight, used = weight * part**2, part >= least_part
+        fraction = path.turbulent if is_turbulent else 1.0 - path.turbulent
+    weight, used = weight * fraction**2, fraction >= least_part
     for axis, x in zip(table.axes, path.x.T, strict=True):
         used &= (len(axis) == 1) | ((x >= axis[0]) & (x <= axis[-1]))
     if np.sum(weight[used]) < least_weight:

@@ -87,8 +87,8 @@ class FlownRatio:
         """
         W = node_weights(axes, self.x)
         nodes = np.unique(W.indices)
-        places = np.unravel_index(nodes, [len(a) for a in axes])
-        at_nodes = self.ratio_at(np.stack([a[i] for a, i in zip(axes, places, strict=True)], axis=1))
+        indices = np.unravel_index(nodes, [len(a) for a in axes])
+        at_nodes = self.ratio_at(np.stack([a[i] for a, i in zip(axes, indices, strict=True)], axis=1))
         off = self.ratio - W[:, nodes] @ at_nodes
         worst = np.sort(off**2)[-max(int(0.02 * len(off)), 1) :]
         return float(np.sqrt(np.mean(worst) / np.average(self.ratio**2, weights=self.weight)))
@@ -109,33 +109,6 @@ class FlownRatio:
         values, vectors = np.linalg.eigh(self.covariance)
         half = vectors * np.sqrt(np.maximum(values, 0.0))
         return nodes, root[:, None] * W[:, nodes].toarray(), root * self.ratio, root[:, None] * (self.basis @ half)
-
-
-@dataclass(frozen=True, eq=False)
-class NodeEvidence:
-    """Evidence that is stated for nodes, as revisions of earlier versions have it.
-
-    evidence : on the nodes of the axes;  axes : of the table before any revision
-    """
-
-    evidence: Evidence
-    axes: Sequence[FloatArray]
-
-    def on(self, axes: Sequence[FloatArray]) -> Evidence:
-        """As evidence on the nodes of a table with these axes, which contain the own ones."""
-        e = self.evidence
-        if not e.names:
-            return e
-        places = zip(axes, self.axes, np.unravel_index(e.nodes, [len(a) for a in self.axes]), strict=True)
-        index = [np.searchsorted(new, old[i]) for new, old, i in places]
-        nodes = np.ravel_multi_index(index, [len(a) for a in axes])
-        return Evidence(e.names, nodes, e.H, e.value, e.covariance)
-
-    combinations = on
-
-
-FlightMeasurement = FlownRatio | NodeEvidence
-"""What a revision took from a flight."""
 
 
 def shape_sigma(table: RatioTable, x: FloatArray, weight: FloatArray, *, shape_error: float = 0.003) -> float:

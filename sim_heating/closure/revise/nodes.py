@@ -36,16 +36,16 @@ def axes_for(
     most_added : nodes that one revision adds to a table at most
     least_gain : part by which a further node must reduce the misfit
     """
-    found = tuple(axes)
-    left = flown.misfit(found)
+    enlarged = tuple(axes)
+    misfit = flown.misfit(enlarged)
     for _ in range(most_added):
-        if left <= max_misfit:
+        if misfit <= max_misfit:
             break
-        better = _with_best_node(flown, found)
-        if better is None or better[1] > (1.0 - least_gain) * left:
+        better = _with_best_node(flown, enlarged)
+        if better is None or better[1] > (1.0 - least_gain) * misfit:
             break
-        found, left = better
-    return found
+        enlarged, misfit = better
+    return enlarged
 
 
 def _with_best_node(
@@ -56,31 +56,31 @@ def _with_best_node(
     most_nodes : nodes of a table that is not enlarged
     values_tried : places that are tried in each variable
     """
-    found = []
+    tried = []
     for i, name in enumerate(RATIO_VARIABLES):
         low, high = float(flown.x[:, i].min()), float(flown.x[:, i].max())
         size = int(np.prod([len(a) for a in axes])) // len(axes[i]) * (len(axes[i]) + 1)
         if len(axes[i]) == 1 or high - low < LEAST_EXCURSION[name] or size > most_nodes:
             continue
         decimals = 3 if name == "log10_re" else 2
-        places = np.linspace(low, high, values_tried + 2)[1:-1]
-        left = [flown.misfit(_with_node(axes, i, p)) for p in places]
-        best = int(np.argmin(left))
-        step = places[1] - places[0]
+        positions = np.linspace(low, high, values_tried + 2)[1:-1]
+        misfits = [flown.misfit(_with_node(axes, i, p)) for p in positions]
+        best = int(np.argmin(misfits))
+        step = positions[1] - positions[0]
         refined = minimize_scalar(
             lambda p, i=i: flown.misfit(_with_node(axes, i, p)),
-            bounds=(places[best] - step, places[best] + step), method="bounded",
+            bounds=(positions[best] - step, positions[best] + step), method="bounded",
             options={"xatol": 0.5 * 10.0**-decimals},
         )  # fmt: skip
-        place = float(refined.x if refined.fun < left[best] else places[best])
-        new = _with_node(axes, i, round(place, decimals))
-        found.append((new, flown.misfit(new)))
-    return min(found, key=lambda f: f[1], default=None)
+        position = float(refined.x if refined.fun < misfits[best] else positions[best])
+        new = _with_node(axes, i, round(position, decimals))
+        tried.append((new, flown.misfit(new)))
+    return min(tried, key=lambda f: f[1], default=None)
 
 
-def _with_node(axes: tuple[FloatArray, ...], i: int, place: float) -> tuple[FloatArray, ...]:
+def _with_node(axes: tuple[FloatArray, ...], i: int, position: float) -> tuple[FloatArray, ...]:
     """Axes with a node at a place of one variable."""
-    return (*axes[:i], np.unique(np.append(axes[i], place)), *axes[i + 1 :])
+    return (*axes[:i], np.unique(np.append(axes[i], position)), *axes[i + 1 :])
 
 
 def added_nodes(old: Sequence[FloatArray], new: Sequence[FloatArray]) -> dict[str, list[float]]:

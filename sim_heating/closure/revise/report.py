@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,9 @@ from sim_heating.base.parameters import EFFECT_PREFIX, SHORT_NAMES
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.revise.errors import HeldFit, errors_before_and_after, held_fits
+from sim_heating.closure.revise.errors import errors_before_and_after, held_fits
 from sim_heating.closure.revise.evidence import OF_START, ratio_names
-from sim_heating.closure.revise.revision_file import RevisionFile
+from sim_heating.closure.revise.revision_file import HeldFit, RevisionFile
 from sim_heating.closure.revise.revisions import revising
 from sim_heating.closure.revise.table_effects import added_ratio
 from sim_heating.closure.revise.update import TableChange, TableUpdate, check_target, prepare_update, write_update
@@ -121,24 +121,24 @@ def update_tables(
         update = prepare_update(fit, vehicle, records, point, root, accept_partly=accept_partly)
         progress(0.1, "predicting with the table before and after")
         errors = errors_before_and_after(update, load_records([*update.records, *checks], root=root))
-        held = held_fits(update)
+        fits = held_fits(update)
         if dry_run:
-            return UpdatedTables(update, errors, held)
-        content = {name: asdict(h) for name, h in held.items()}
-        return UpdatedTables(update, errors, held, *write_update(update, target, errors, draw_update, content))
+            return UpdatedTables(update, errors, fits)
+        content = {name: h.model_dump() for name, h in fits.items()}
+        return UpdatedTables(update, errors, fits, *write_update(update, target, errors, draw_update, content))
 
 
 def update_report(updated: UpdatedTables) -> Iterator[Table | str]:
     """The tables and lines of an update, in the order in which they are printed."""
     update = updated.update
-    for change, what in zip(update.changes, ("ratio table", "turbulent ratio table"), strict=False):
+    for change, table_name in zip(update.changes, ("ratio table", "turbulent ratio table"), strict=False):
         if change.is_change:
-            yield _difference_table(update, change, what)
+            yield _difference_table(update, change, table_name)
         else:
-            yield f"{update.point.name}: no node of the {what} changes"
-        for variable, places in change.nodes_added.items():
-            added = ", ".join(f"{p:g}" for p in places)
-            yield f"{what}: {'nodes' if len(places) > 1 else 'a node'} added in {variable} at {added}"
+            yield f"{update.point.name}: no node of the {table_name} changes"
+        for variable, positions in change.nodes_added.items():
+            added = ", ".join(f"{p:g}" for p in positions)
+            yield f"{table_name}: {'nodes' if len(positions) > 1 else 'a node'} added in {variable} at {added}"
     for used in update.flight.in_table:
         yield f"{EFFECT_PREFIX}{used.effect.name}: is in the ratio table, which has nodes where it bends"
     if update.flight.evidence.names:
@@ -151,7 +151,7 @@ def update_report(updated: UpdatedTables) -> Iterator[Table | str]:
     yield from _cautions(update)
 
 
-def _difference_table(update: TableUpdate, changed: TableChange, what: str, *, max_rows: int = 16) -> Table:
+def _difference_table(update: TableUpdate, changed: TableChange, table_name: str, *, max_rows: int = 16) -> Table:
     """The nodes that change most, by their sigma before.
 
     max_rows : nodes that are shown; the revision's file contains all
@@ -159,7 +159,7 @@ def _difference_table(update: TableUpdate, changed: TableChange, what: str, *, m
     nodes = {name: np.array(values) for name, values in changed.changed_nodes().items()}
     change = np.abs(nodes["ratio_after"] - nodes["ratio_before"]) / np.maximum(nodes["sigma_before"], 1e-300)
     shown = np.sort(np.argsort(-change, kind="stable")[:max_rows])
-    count = f"{len(change)} of {changed.table.ratio.size} nodes of the {what} change"
+    count = f"{len(change)} of {changed.table.ratio.size} nodes of the {table_name} change"
     some = f", the {len(shown)} that change most by their sigma" if len(shown) < len(change) else ""
     old, axes = update.history.revision, zip(SHORT_NAMES, RATIO_VARIABLES, changed.table.axes, strict=True)
     # a vehicle without a control surface has one node in its deflection
@@ -218,28 +218,28 @@ def _errors_table(errors: dict[str, dict[str, Any]]) -> Table:
     ]  # fmt: skip
     rows = []
     for name, segments in errors.items():
-        found = [segments[segment][when] for segment in ("fit", "holdout") for when in ("before", "after")]
-        rows.append([name, *(None if e is None else e["rmse_K"] for e in found)])
+        errors_of_record = [segments[segment][when] for segment in ("fit", "holdout") for when in ("before", "after")]
+        rows.append([name, *(None if e is None else e["rmse_K"] for e in errors_of_record)])
     return Table("RMSE of plain predictions with the vehicle before and after", columns, rows)
 
 
-def _held_table(held: Mapping[str, HeldFit]) -> Table:
+def _held_table(fits: Mapping[str, HeldFit]) -> Table:
     columns: list[Column | str] = [
         "record", Column("noise floor", "noise_floor_K", ".2f", "K"), Column("fit", "fit_K", ".2f", "K"),
         Column("table before", "before_K", ".2f", "K"), Column("after", "after_K", ".2f", "K"),
         Column("after, from entry", "from_entry_K", ".2f", "K"),
     ]  # fmt: skip
-    rows = [[n, h.noise_floor_K, h.fit_K, h.before_K, h.after_K, h.from_entry_K] for n, h in held.items()]
+    rows = [[n, h.noise_floor_K, h.fit_K, h.before_K, h.after_K, h.from_entry_K] for n, h in fits.items()]
     return Table("RMSE on the fitted samples, from where the fit began", columns, rows)
 
 
-def _not_held(held: Mapping[str, HeldFit]) -> Iterator[str]:
+def _not_held(fits: Mapping[str, HeldFit]) -> Iterator[str]:
     """What of the fit the tables do not hold, with what it costs."""
-    for name, h in held.items():
+    for name, h in fits.items():
         if not h.is_held:
             yield f"{name}: {h.after_K:.2f} K with the tables, {h.fit_K:.2f} K with the fit; not all of it is in them:"
-        for what, loss in sorted(h.not_held.items(), key=lambda item: -item[1]):
-            yield f"{name}: not in the tables: {what}, {loss:.2f} K"
+        for cause, loss in sorted(h.not_held.items(), key=lambda item: -item[1]):
+            yield f"{name}: not in the tables: {cause}, {loss:.2f} K"
 
 
 def _cautions(update: TableUpdate, *, reported_shift: float = 1.0) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import chain, pairwise
+from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -10,22 +10,16 @@ from pydantic import Field, model_validator
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, LocatedError, Location, repeated_name, suggestion
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
 from sim_heating.closure.revise.checks import MIN_SIGMA
-from sim_heating.closure.revise.flown_ratio import FlightMeasurement, FlownRatio, NodeEvidence
+from sim_heating.closure.revise.flown_ratio import FlownRatio
 from sim_heating.estimation.report.estimate_file import EstimatedParameter, is_correlation
-from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.ratio.uncertainty import Evidence
 
 LEAST_REACH = 1e-9
 """Least distance of independent errors in a revision, in the unit of its variable: any two nodes are further apart."""
 LARGEST = 1e9
 """Largest weight, value or covariance that evidence is taken to have."""
-NODES = ("nodes", "H", "value")
-PATH = ("x", "weight", "ratio", "basis", "shape_sigma")
-"""Keys of the two forms of evidence, in addition to names and covariance."""
 
 
 class UsedRecord(Declared):
@@ -44,45 +38,31 @@ class UsedRecord(Declared):
 
 
 class StoredEvidence(Declared):
-    """What a revision took from a flight, as a file contains it.
-
-    The ratio of the fit along the flown path, `FlownRatio`: names, covariance, x, weight, ratio, basis, shape_sigma.
-    Or, as earlier versions wrote, combinations of nodes, `uncertainty.Evidence`: names, nodes, H, value, covariance.
-    """
+    """What a revision took from a flight: the ratio of the fit along the flown path, as `FlownRatio` has it."""
 
     names: list[str]
     covariance: list[list[float]]
-    x: list[list[float]] | None = None
-    weight: list[float] | None = None
-    ratio: list[float] | None = None
-    basis: list[list[float]] | None = None
-    shape_sigma: float | None = Field(default=None, gt=0.0)
-    nodes: list[int] | None = None
-    H: list[list[float]] | None = None
-    value: list[float] | None = None
+    x: list[list[float]]
+    weight: list[float]
+    ratio: list[float]
+    basis: list[list[float]]
+    shape_sigma: float = Field(gt=0.0)
 
     @model_validator(mode="after")
     def _check(self) -> StoredEvidence:
-        known, k = [p.name for p in RATIO], len(self.names)
+        ratio_names, k = [p.name for p in RATIO], len(self.names)
         problems: list[tuple[Location, str]] = [
-            (("names", i), f"`{n}` is not a parameter of the ratio{suggestion(n, known)}")
+            (("names", i), f"`{n}` is not a parameter of the ratio{suggestion(n, ratio_names)}")
             for i, n in enumerate(self.names)
-            if n not in known and not n.startswith(EFFECT_PREFIX)
+            if n not in ratio_names and not n.startswith(EFFECT_PREFIX)
         ]
         if repeated_name(self.names) is not None:
             problems.append((("names",), f"`{repeated_name(self.names)}` occurs twice"))
         problems += _shape_problems("covariance", self.covariance, k, k)
-        form = NODES if self.nodes is not None else PATH
-        lacking = [key for key in form if getattr(self, key) is None]
-        too_many = [key for key in {*NODES, *PATH} - set(form) if getattr(self, key) is not None]
-        problems += [((), f"`{key}` is missing") for key in lacking]
-        problems += [((key,), f"does not go with `{form[0]}`") for key in too_many]
-        if not lacking and not too_many:
-            problems += self._node_problems() if form is NODES else self._path_problems()
+        problems += self._path_problems()
         numbers = {
-            "covariance": chain(*self.covariance), "H": chain(*(self.H or [])), "value": self.value or [],
-            "x": chain(*(self.x or [])), "weight": self.weight or [], "ratio": self.ratio or [],
-            "basis": chain(*(self.basis or [])),
+            "covariance": chain(*self.covariance), "x": chain(*self.x), "weight": self.weight, "ratio": self.ratio,
+            "basis": chain(*self.basis),
         }  # fmt: skip
         for key, largest in ((key, max(map(abs, values), default=0.0)) for key, values in numbers.items()):
             if largest > LARGEST:
@@ -93,65 +73,43 @@ class StoredEvidence(Declared):
             raise LocatedError(*problems)
         return self
 
-    def _node_problems(self) -> list[tuple[Location, str]]:
-        nodes, H, value, k = self.nodes or [], self.H or [], self.value or [], len(self.names)
-        problems: list[tuple[Location, str]] = []
-        if any(a >= b for a, b in pairwise([-1, *nodes])):
-            problems.append((("nodes",), "must be the numbers of nodes, 0 or above, each larger than the one before"))
-        problems += _shape_problems("H", H, k, len(nodes))
-        if len(value) != k:
-            problems.append((("value",), f"has {len(value)} values for {k} names"))
-        return problems
-
     def _path_problems(self) -> list[tuple[Location, str]]:
-        x, weight, ratio, basis = self.x or [], self.weight or [], self.ratio or [], self.basis or []
-        if not x:
+        if not self.x:
             return [(("x",), "holds no sample")]
-        problems = _shape_problems("x", x, len(x), len(RATIO_VARIABLES), "samples")
-        problems += _shape_problems("basis", basis, len(x), len(self.names), "samples")
+        count = len(self.x)
+        problems = _shape_problems("x", self.x, count, len(RATIO_VARIABLES), "samples")
+        problems += _shape_problems("basis", self.basis, count, len(self.names), "samples")
         problems += [
-            ((key,), f"has {len(values)} values for {len(x)} samples")
-            for key, values in (("weight", weight), ("ratio", ratio))
-            if len(values) != len(x)
+            ((key,), f"has {len(values)} values for {count} samples")
+            for key, values in (("weight", self.weight), ("ratio", self.ratio))
+            if len(values) != count
         ]
-        if any(w <= 0.0 for w in weight):
+        if any(w <= 0.0 for w in self.weight):
             problems.append((("weight",), "must be above 0"))
         return problems
 
-    def measurement(self, base: RatioTable) -> FlightMeasurement:
-        """As arrays, for an update of the table before any revision.
-
-        raises : InputError where a node is not one of the table
-        """
-        names, k = tuple(self.names), len(self.names)
-        covariance = np.array(self.covariance).reshape(k, k)
-        if self.nodes is None:
-            x, weight, ratio = (np.array(v, dtype=float) for v in (self.x, self.weight, self.ratio))
-            basis = np.array(self.basis, dtype=float).reshape(len(x), k)
-            assert self.shape_sigma is not None  # checked on reading
-            return FlownRatio(names, x, weight, ratio, basis, covariance, self.shape_sigma)
-        if max(self.nodes, default=-1) >= base.ratio.size:
-            raise InputError(
-                f"`nodes`: {max(self.nodes)} is not a node of the table, which has {base.ratio.size}; restore the file"
-            )
-        nodes, H = np.array(self.nodes, dtype=np.int64), np.array(self.H).reshape(k, len(self.nodes))
-        return NodeEvidence(Evidence(names, nodes, H, np.array(self.value), covariance), base.axes)
+    def measurement(self) -> FlownRatio:
+        """As arrays, for an update of the table before any revision."""
+        k = len(self.names)
+        x, weight, ratio = (np.array(v, dtype=float) for v in (self.x, self.weight, self.ratio))
+        basis, covariance = np.array(self.basis, dtype=float).reshape(len(x), k), np.array(self.covariance)
+        return FlownRatio(tuple(self.names), x, weight, ratio, basis, covariance.reshape(k, k), self.shape_sigma)
 
 
-def stored_evidence(measured: FlownRatio | None) -> dict[str, Any]:
+def stored_evidence(measured: FlownRatio | None) -> dict[str, Any] | None:
     """The content of a StoredEvidence; None for a flight that says nothing of the table."""
     if measured is None:
-        return {"names": [], "covariance": [], "nodes": [], "H": [], "value": []}
+        return None
     arrays = {key: getattr(measured, key).tolist() for key in ("x", "weight", "ratio", "basis", "covariance")}
     return {"names": list(measured.names), **arrays, "shape_sigma": measured.shape_sigma}
 
 
 def _shape_problems(
-    key: str, rows: list[list[float]], height: int, width: int, what: str = "names"
+    key: str, rows: list[list[float]], height: int, width: int, rows_of: str = "names"
 ) -> list[tuple[Location, str]]:
     """Why a list of rows is not a matrix of this shape."""
     if len(rows) != height:
-        return [((key,), f"has {len(rows)} rows for {height} {what}")]
+        return [((key,), f"has {len(rows)} rows for {height} {rows_of}")]
     ragged = [(i, row) for i, row in enumerate(rows) if len(row) != width]
     return [((key, i), f"has {len(row)} values where there must be {width}") for i, row in ragged]
 
@@ -174,10 +132,13 @@ class WrittenEffect(Declared):
     before: dict[str, float] | None
 
 
-class HeldErrors(Declared):
-    """How well the tables hold the fit of one record; keys as in `errors.HeldFit`.
+class HeldFit(Declared):
+    """How well the new tables hold a fit, on the fitted samples of one of its records.
 
-    not_held : name of what is not held -> its effect on the temperatures [K]
+    noise_floor_K  : of the record [K];  fit_K : RMSE of the fit [K]
+    before_K, after_K : with the tables before and after [K], from the start of the fit
+    from_entry_K   : with the new tables from the first row of the conditions on [K]
+    not_held       : what else the fit has -> by how much it would reduce the error, as a root of squares [K]
     """
 
     noise_floor_K: float
@@ -186,6 +147,16 @@ class HeldErrors(Declared):
     after_K: float
     from_entry_K: float
     not_held: dict[str, float]
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the error with the new tables is that of the fit."""
+        return holds(self.after_K, self.fit_K)
+
+
+def holds(after_K: float, fit_K: float, *, most: float = 1.15) -> bool:
+    """Whether new tables hold a fit, by their errors [K]; most : of the first over the second [-]."""
+    return after_K <= most * fit_K
 
 
 class RevisedTurbulent(Declared):
@@ -197,7 +168,7 @@ class RevisedTurbulent(Declared):
     nodes_added: dict[str, list[float]] = Field(default={})
     chi_square: float
     degrees_of_freedom: int
-    evidence: StoredEvidence
+    evidence: StoredEvidence | None
     changed: dict[str, list[float]]
 
 
@@ -235,7 +206,7 @@ class RevisionFile(Declared):
     parameters: dict[str, EstimatedParameter]
     effects: list[WrittenEffect] = Field(default=[])
     in_table: list[WrittenEffect] = Field(default=[])
-    held: dict[str, HeldErrors] = Field(default={})
+    held: dict[str, HeldFit] = Field(default={})
     nodes_added: dict[str, list[float]] = Field(default={})
     turbulent: RevisedTurbulent | None = None
     point_parent_hash: str | None = None
@@ -244,7 +215,7 @@ class RevisionFile(Declared):
     reach: dict[str, float]
     chi_square: float
     degrees_of_freedom: int
-    evidence: StoredEvidence
+    evidence: StoredEvidence | None
     errors_K: dict[str, dict[str, Any]] = Field(description="record -> fit, holdout -> before, after")
     changed: dict[str, list[float]]
 

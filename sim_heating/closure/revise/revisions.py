@@ -41,7 +41,7 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.closure.revise.flown_ratio import FlightMeasurement
+from sim_heating.closure.revise.flown_ratio import FlownRatio
 from sim_heating.closure.revise.revision_file import RevisedTurbulent, RevisionFile, StoredEvidence
 from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, Posterior, on_axes, posterior
@@ -71,7 +71,7 @@ class TableHistory:
     revision: int
     base: RatioTable
     revisions: tuple[RevisionFile, ...]
-    measured: tuple[FlightMeasurement, ...] = ()
+    measured: tuple[FlownRatio, ...] = ()
 
     @property
     def reach(self) -> Mapping[str, float]:
@@ -124,13 +124,13 @@ def read_history(vehicle: Vehicle, point: str) -> TableHistory:
     revisions: list[RevisionFile] = []
     tables = [path]
     text, at = raw, int(number)
-    while (made := revision_path(vehicle.directory, point, at, "json")).is_file():
-        revision = _read_revision(made, point, at)
+    while (file := revision_path(vehicle.directory, point, at, "json")).is_file():
+        revision = _read_revision(file, point, at)
         parent = revision_path(vehicle.directory, point, revision.parent, "csv")
-        text, at = _parent_text(tables[0], text, parent, made, revision), revision.parent
+        text, at = _parent_text(tables[0], text, parent, file, revision), revision.parent
         tables.insert(0, parent)
         revisions.insert(0, revision)
-    _refuse_half_written(vehicle.directory, point, int(number))
+    _refuse_half_restored(vehicle.directory, point, int(number))
     history = TableHistory(path, raw, table, int(number), read_ratio_table(tables[0]), tuple(revisions))
     return _with_measurements(vehicle.directory, history, tables[1:], [r.evidence for r in revisions])
 
@@ -154,17 +154,17 @@ def read_turbulent_history(vehicle: Vehicle, history: TableHistory, point: str) 
     revisions = [r for r in history.revisions if r.turbulent is not None]
     tables, text = [path], raw
     for revision in reversed(revisions):
-        made = revision_path(vehicle.directory, point, revision.revision, "json")
+        file = revision_path(vehicle.directory, point, revision.revision, "json")
         parent = revision_path(vehicle.directory, point, revision.parent, TURBULENT)
         assert revision.turbulent is not None
-        text = _parent_text(tables[0], text, parent, made, revision.turbulent)
+        text = _parent_text(tables[0], text, parent, file, revision.turbulent)
         tables.insert(0, parent)
-    found = TableHistory(path, raw, table, history.revision, read_ratio_table(tables[0]), tuple(revisions))
+    turbulent = TableHistory(path, raw, table, history.revision, read_ratio_table(tables[0]), tuple(revisions))
     stored = [r.turbulent.evidence for r in revisions if r.turbulent is not None]
-    return _with_measurements(vehicle.directory, found, tables[1:], stored)
+    return _with_measurements(vehicle.directory, turbulent, tables[1:], stored)
 
 
-def _parent_text(path: Path, text: str, parent: Path, made: Path, hashes: RevisionFile | RevisedTurbulent) -> str:
+def _parent_text(path: Path, text: str, parent: Path, file: Path, hashes: RevisionFile | RevisedTurbulent) -> str:
     """The text of the table that a revision was made from.
 
     path, text : the table that it made
@@ -173,13 +173,13 @@ def _parent_text(path: Path, text: str, parent: Path, made: Path, hashes: Revisi
     # A table that was edited no longer is what its evidence made it, and further updates would build on both.
     if hashes.table_hash != text_digest(text):
         raise InputError(
-            f"{display_path(path)}: was changed after {display_path(made)} was written; revert the change, or "
+            f"{display_path(path)}: was changed after {display_path(file)} was written; revert the change, or "
             "give the table a new `revision`"
         )
     before = raw_text(parent)
     if hashes.parent_hash != text_digest(before):
         raise InputError(
-            f"{display_path(parent)}: is not the table that {display_path(made)} was made from; restore it"
+            f"{display_path(parent)}: is not the table that {display_path(file)} was made from; restore it"
         )
     return before
 
@@ -196,8 +196,7 @@ def _read_revision(file: Path, point: str, number: int) -> RevisionFile:
             f"{name}: is revision {revision.revision} of {abbreviated(revision.control_point)}; this must be revision "
             f"{number} of {point}; restore the file"
         )
-    # Files of earlier versions have none; their evidence is compared with their table instead.
-    if DIGEST in data and not digest_matches(data):
+    if not digest_matches(data):
         raise InputError(
             f"{name}: was changed after it was written (its content is not that of its `{DIGEST}`); restore it"
         )
@@ -205,21 +204,19 @@ def _read_revision(file: Path, point: str, number: int) -> RevisionFile:
 
 
 def _with_measurements(
-    directory: Path, history: TableHistory, tables: Sequence[Path], stored: Sequence[StoredEvidence]
+    directory: Path, history: TableHistory, tables: Sequence[Path], stored: Sequence[StoredEvidence | None]
 ) -> TableHistory:
     """A history with what its revisions took from flights, which makes the tables that are there.
 
     tables, stored : of the revisions, in their order
     raises         : InputError naming the revision
     """
-    measured: list[FlightMeasurement] = []
+    measured: list[FlownRatio] = []
     before = history.base
     for revision, path, evidence in zip(history.revisions, tables, stored, strict=True):
         name = display_path(revision_path(directory, revision.control_point, revision.revision, "json"))
-        try:
-            measured.append(evidence.measurement(history.base))
-        except InputError as error:
-            raise InputError(f"{name}, [evidence]: {error}") from None
+        if evidence is not None:
+            measured.append(evidence.measurement())
         table = read_ratio_table(path)
         if not _makes(history.base, measured, revision.reach, before, table):
             raise InputError(
@@ -231,24 +228,24 @@ def _with_measurements(
 
 
 def _makes(
-    base: RatioTable, measured: Sequence[FlightMeasurement], reach: Mapping[str, float], before: RatioTable,
+    base: RatioTable, measured: Sequence[FlownRatio], reach: Mapping[str, float], parent: RatioTable,
     table: RatioTable, *, ratio_tolerance: float = 1e-5, sigma_tolerance: float = 2e-3, rounding: float = 1e-6,
 ) -> bool:  # fmt: skip
     """Whether evidence makes a table, to rounding.
 
-    base : the table before any of it;  before : the table before the last of it
+    base : the table before any of it;  parent : the table before the last of it
     ratio_tolerance, sigma_tolerance : relative differences of ratio and sigma by which a table may be away from what
         its evidence makes it: it is rounded to 6 and 4 digits
     rounding : difference that counts as rounding, relative to the largest value of a table
     """
-    if any(not np.all(np.isin(a, b)) for a, b in zip(before.axes, table.axes, strict=True)) or table.sigma is None:
+    if any(not np.all(np.isin(a, b)) for a, b in zip(parent.axes, table.axes, strict=True)) or table.sigma is None:
         return False
-    made = posterior(on_axes(base, table.axes), [m.on(table.axes) for m in measured], reach)
-    old = on_axes(before, table.axes)
+    remade = posterior(on_axes(base, table.axes), [m.on(table.axes) for m in measured], reach)
+    old = on_axes(parent, table.axes)
     assert old.sigma is not None  # of a table that was revised
-    sigma = np.minimum(made.sigma, old.sigma)
+    sigma = np.minimum(remade.sigma, old.sigma)
     return np.allclose(
-        table.ratio, made.ratio, rtol=ratio_tolerance, atol=rounding * np.abs(made.ratio).max()
+        table.ratio, remade.ratio, rtol=ratio_tolerance, atol=rounding * np.abs(remade.ratio).max()
     ) and np.allclose(table.sigma, sigma, rtol=sigma_tolerance, atol=rounding * sigma.max())
 
 
@@ -264,19 +261,18 @@ def table_posterior(vehicle: Vehicle, point: str) -> Posterior | None:
     return None if table.sigma is None else posterior(table, [])
 
 
-def _refuse_half_written(directory: Path, point: str, number: int) -> None:
-    """Refuse a vehicle with the effects of the next revision and the table of this one.
-
-    An update of an earlier version, which replaced one file after the other, left that when it was killed.
-    """
-    made, file = revision_path(directory, point, number + 1, "json"), point_path(directory, point)
-    if not made.is_file():
+def _refuse_half_restored(directory: Path, point: str, number: int) -> None:
+    """Refuse a vehicle with the effects of the next revision and the table of this one, as where a table was put back
+    by hand: the next update would count the effects twice."""
+    following, file = revision_path(directory, point, number + 1, "json"), point_path(directory, point)
+    if not following.is_file():
         return
-    revision = _read_revision(made, point, number + 1)
+    revision = _read_revision(following, point, number + 1)
     if revision.point_hash is not None and revision.point_hash == text_digest(raw_text(file)):
         kept = revision_path(directory, point, number, "toml")
         raise InputError(
-            f"{display_path(file)}: an update ended before its table was written; copy {display_path(kept)} over it"
+            f"{display_path(file)}: has the effects of revision {number + 1}, and the table is that of revision "
+            f"{number}; copy {display_path(kept)} over it"
         )
 
 
@@ -297,7 +293,7 @@ def write_revision(
     vehicle: Vehicle,
     history: TableHistory,
     table: RatioTable,
-    made: Mapping[str, Any],
+    content: Mapping[str, Any],
     point_texts: tuple[str, str],
     picture: bytes | None = None,
     turbulent: tuple[TableHistory, RatioTable] | None = None,
@@ -305,19 +301,19 @@ def write_revision(
     """Write the next revision, all files of it together: the old ones kept, its origin, the effects, and the tables.
 
     history     : as the table is now
-    made        : the fields of a RevisionFile that do not follow from the files
+    content     : the fields of a RevisionFile that do not follow from the files
     point_texts : the control point's file as it is now and as it is to be
     picture     : of the update; None where there is none
     turbulent   : the turbulent table as it is now and as it is to be; None where it stays
     raises      : InputError where tables or control point are no longer the given ones; nothing is written then
     """
-    point, number = str(made["control_point"]), history.revision + 1
+    point, number = str(content["control_point"]), history.revision + 1
     before, after = point_texts
     with revising(vehicle.directory):
         _check_unchanged(vehicle, history, point, before, turbulent)
         text, effects = ratio_table_text(table, _short_axes(table)), after != before
         new: dict[Path, str | bytes] = {revision_path(Path(), point, history.revision, "csv"): history.raw}
-        data = {**made, **_of_files(vehicle, history, text)}
+        data = {**content, **_of_files(vehicle, history, text)}
         new[Path(data["table"])] = text
         data |= {
             "revision": number,
@@ -328,7 +324,7 @@ def write_revision(
         if turbulent is not None:
             old, revised = turbulent
             turbulent_text = ratio_table_text(revised, _short_axes(revised))
-            data["turbulent"] = {**made["turbulent"], **_of_files(vehicle, old, turbulent_text)}
+            data["turbulent"] = {**content["turbulent"], **_of_files(vehicle, old, turbulent_text)}
             new[revision_path(Path(), point, history.revision, TURBULENT)] = old.raw
             new[Path(data["turbulent"]["table"])] = turbulent_text
         revision = check(data, RevisionFile, f"revision {number}")
@@ -338,7 +334,7 @@ def write_revision(
         if effects:
             new[revision_path(Path(), point, history.revision, "toml")] = before
             new[point_path(Path(), point)] = after
-        # What an update of an earlier version left when it was interrupted is not part of this revision.
+        # what a revision left whose table was put back by hand is not part of this one
         stale = {revision_path(Path(), point, number, "png"), revision_path(Path(), point, history.revision, "toml")}
         replace_files(
             vehicle.directory, {p.as_posix(): c for p, c in new.items()}, [p.as_posix() for p in stale - new.keys()]
@@ -397,18 +393,20 @@ def revert(vehicle: Vehicle, point: str) -> tuple[int, int]:
             )
         undone = history.revisions[-1]
         kept, point_kept = (revision_path(Path(), point, undone.parent, kind) for kind in ("csv", "toml"))
-        made = [revision_path(Path(), point, undone.revision, kind) for kind in ("json", "png")]
+        removed = [revision_path(Path(), point, undone.revision, kind) for kind in ("json", "png")]
         restored = {history.path.relative_to(vehicle.directory).as_posix(): raw_text(vehicle.directory / kept)}
         if undone.turbulent is not None:
             # Read as a history, so that a table changed since is refused as the laminar one is.
             turbulent = read_turbulent_history(vehicle, history, point)
             assert isinstance(turbulent, TableHistory)
-            made.append(revision_path(Path(), point, undone.parent, TURBULENT))
-            restored[turbulent.path.relative_to(vehicle.directory).as_posix()] = raw_text(vehicle.directory / made[-1])
+            removed.append(revision_path(Path(), point, undone.parent, TURBULENT))
+            restored[turbulent.path.relative_to(vehicle.directory).as_posix()] = raw_text(
+                vehicle.directory / removed[-1]
+            )
         if undone.point_hash is not None:
             file = point_path(vehicle.directory, point)
             restored[point_path(Path(), point).as_posix()] = _point_before(file, vehicle.directory / point_kept, undone)
-        replace_files(vehicle.directory, restored, [p.as_posix() for p in (kept, point_kept, *made)])
+        replace_files(vehicle.directory, restored, [p.as_posix() for p in (kept, point_kept, *removed)])
     return undone.revision, undone.parent
 
 

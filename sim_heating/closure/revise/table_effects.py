@@ -20,23 +20,21 @@ from sim_heating.heating.ratio.uncertainty import basis
 
 PLACES = (flight.alpha_deg, flight.beta_deg, flight.log10_re, flight.elevon_deg, flight.bodyflap_deg)
 """Where the variables of a table are among the conditions."""
-OTHER_CONDITIONS = (1.0, 3.0)
-"""Values of all other conditions, and of the wall temperature in 1000 K, between which an effect of the table does not
-change."""
 
 
-def is_of_table(used: EffectUse, x: FloatArray) -> bool:
+def is_of_table(used: EffectUse, x: FloatArray, *, others: tuple[float, float] = (1.0, 3.0)) -> bool:
     """Whether an effect adds a function of the variables of a ratio table.
 
-    x : (m, 5) conditions that were flown, [deg] and [-]
+    x      : (m, 5) conditions that were flown, [deg] and [-]
+    others : values of all other conditions, and of the wall temperature in 1000 K, between which it does not change
     """
-    of = used.effect
-    if of.mode == "model":
-        return all(isinstance(p, ModelParameter) and p.stands_for.startswith("ratio.") for p in of.parameters)
-    if of.mode != "add" or of.lags or of.kernel is None:
+    effect = used.effect
+    if effect.mode == "model":
+        return all(isinstance(p, ModelParameter) and p.stands_for.startswith("ratio.") for p in effect.parameters)
+    if effect.mode != "add" or effect.lags or effect.kernel is None:
         return False
-    one, other = (_kernel_values(used, x, value) for value in OTHER_CONDITIONS)
-    return bool(np.array_equal(one, other))
+    first, other = (_kernel_values(used, x, value) for value in others)
+    return bool(np.array_equal(first, other))
 
 
 def added_ratio(used: EffectUse, x: FloatArray, reference: FloatArray) -> FloatArray:
@@ -47,7 +45,7 @@ def added_ratio(used: EffectUse, x: FloatArray, reference: FloatArray) -> FloatA
     if used.effect.mode == "model":
         names = [p.stands_for for p in used.effect.parameters if isinstance(p, ModelParameter)]
         return basis(names, x, reference, np.zeros(len(x))) @ np.array(used.values)
-    return _kernel_values(used, x, OTHER_CONDITIONS[0])
+    return _kernel_values(used, x, 1.0)
 
 
 def derivatives(

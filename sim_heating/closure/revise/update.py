@@ -141,7 +141,7 @@ class TableUpdate:
 
     @property
     def changes(self) -> tuple[TableChange, ...]:
-        """Of the ratio table, and of the turbulent one where it is revised."""
+        """Changes of the ratio table, and of the turbulent one where it is revised."""
         return (self.laminar,) if self.turbulent is None else (self.laminar, self.turbulent)
 
     @property
@@ -203,16 +203,16 @@ def prepare_update(
     raises     : InputError where the two do not belong together or the estimate is already in the table
     """
     file = Path(fit) / NAME if os.path.isdir(fit) else Path(fit)
-    whole = read_estimate(file)
-    check_estimate(whole, display_path(file))
-    if whole.finding in (PARTLY, UNKNOWN) and not accept_partly:
+    complete = read_estimate(file)
+    check_estimate(complete, display_path(file))
+    if complete.finding in (PARTLY, UNKNOWN) and not accept_partly:
         raise InputError(
-            f"{display_path(file)}: its closed loop ends with `{whole.finding}`: what its model has is not stated as "
-            "the cause of the residual; give --accept-partly to write it nevertheless"
+            f"{display_path(file)}: its closed loop ends with `{complete.finding}`: what its model has is not stated "
+            "as the cause of the residual; give --accept-partly to write it nevertheless"
         )
     loaded_vehicle = load_vehicle(vehicle, root=root)
     roots = roots_of(file, root, loaded_vehicle.directory)
-    estimate, loaded = _select_point(whole, _records(whole, roots, records, root), point_name)
+    estimate, loaded = _select_point(complete, _records(complete, roots, records, root), point_name)
     point = loaded_vehicle.control_point(loaded[0].declared.control_point)
     history = read_history(loaded_vehicle, point.name)
     used = tuple(_used_record(estimate, display_path(file), i, record) for i, record in enumerate(loaded))
@@ -277,20 +277,20 @@ def _change(history: TableHistory, measured: FlownRatio | None, header: dict[str
 def _records(
     estimate: Estimate,
     roots: Roots,
-    given: Sequence[str | os.PathLike[str]],
+    stated: Sequence[str | os.PathLike[str]],
     root: str | os.PathLike[str] | None,
 ) -> list[Record]:
     """The estimate's records: as given, else where it states, relative to here or to its own file."""
-    if not given:
+    if not stated:
         return named_apart([_stated_record(estimate, i, roots, root) for i in range(len(estimate.records))])
-    if len(given) != len(estimate.records):
+    if len(stated) != len(estimate.records):
         raise InputError(
-            f"--record: {len(given)} given, the estimate is of {len(estimate.records)}; name each in order"
+            f"--record: {len(stated)} given, the estimate is of {len(estimate.records)}; name each in order"
         )
-    for place in given:
-        if not os.path.isdir(place):
-            raise _no_record(roots.file, os.fspath(place))
-    return load_records(given, root=root)
+    for folder in stated:
+        if not os.path.isdir(folder):
+            raise _no_record(roots.file, os.fspath(folder))
+    return load_records(stated, root=root)
 
 
 def _stated_record(estimate: Estimate, i: int, roots: Roots, root: str | os.PathLike[str] | None) -> Record:
@@ -300,7 +300,7 @@ def _stated_record(estimate: Estimate, i: int, roots: Roots, root: str | os.Path
     if folder is None:
         raise _no_record(roots.file, name)
     try:
-        place = roots.named(name, f"`records`, item {i + 1}", folder)
+        path = roots.named(name, f"`records`, item {i + 1}", folder)
     except InputError as outside:
         # An estimate is often made of records elsewhere. The digest shows that whoever wrote it knew their content;
         # nothing is said about files that do not have it.
@@ -311,7 +311,7 @@ def _stated_record(estimate: Estimate, i: int, roots: Roots, root: str | os.Path
         except InputError:
             pass
         raise outside from None
-    return load_record(place, root=root)
+    return load_record(path, root=root)
 
 
 def _no_record(file: Path, name: str) -> InputError:
@@ -330,18 +330,18 @@ def _select_point(estimate: Estimate, records: Sequence[Record], name: str | Non
     if name not in points or estimate.control_point not in (None, name):
         listed = ", ".join(points if estimate.control_point is None else [estimate.control_point])
         raise InputError(f"the estimate is of {listed}, not of {name}")
-    mine = [i for i, r in enumerate(records) if r.declared.control_point == name]
+    indices = [i for i, r in enumerate(records) if r.declared.control_point == name]
     labels = _plain_names(estimate, name, alone=len(points) == 1)
     return estimate.model_copy(
         update={
-            "records": [estimate.records[i] for i in mine],
-            "segments": None if estimate.segments is None else [estimate.segments[i] for i in mine],
-            "starts": None if estimate.starts is None else [estimate.starts[i] for i in mine],
+            "records": [estimate.records[i] for i in indices],
+            "segments": None if estimate.segments is None else [estimate.segments[i] for i in indices],
+            "starts": None if estimate.starts is None else [estimate.starts[i] for i in indices],
             "parameters": {stem: estimate.parameters[label] for label, stem in labels.items()},
             "effects": [e for e in estimate.effects if e.control_point in (None, name)],
             "correlation": correlations(tuple(labels.values()), estimate.covariance(tuple(labels))),
         }
-    ), [records[i] for i in mine]
+    ), [records[i] for i in indices]
 
 
 def _plain_names(estimate: Estimate, point: str, alone: bool) -> dict[str, str]:
@@ -365,17 +365,17 @@ def _used_record(estimate: Estimate, name: str, i: int, record: Record) -> UsedR
 
     raises : InputError where its files are not those that were fitted, or the estimate does not state which they were
     """
-    found, stated = record_digest(record), estimate.inputs.get(estimate.records[i])
+    digest, stated = record_digest(record), estimate.inputs.get(estimate.records[i])
     if stated is None:
         raise InputError(
             f"{name}: `inputs` has no entry for its record {estimate.records[i]}, so that nothing shows whether it is "
             "still the one that was fitted; estimate again"
         )
-    if stated != found:
+    if stated != digest:
         raise InputError(f"{display_path(record.directory)}: was changed since the estimate; estimate it again")
     segments = estimate.segments[i] if estimate.segments is not None else record.declared.segments.fit
-    whole = [[float(record.time_s[0]), float(record.time_s[-1])]]
-    return UsedRecord(record=record.name, inputs=found, segments=whole if segments is None else segments)
+    record_span = [[float(record.time_s[0]), float(record.time_s[-1])]]
+    return UsedRecord(record=record.name, inputs=digest, segments=record_span if segments is None else segments)
 
 
 def _as_fitted(record: Record, segments: list[list[float]]) -> Record:
@@ -384,11 +384,11 @@ def _as_fitted(record: Record, segments: list[list[float]]) -> Record:
     return replace(record, declared=record.declared.model_copy(update={"segments": declared}))
 
 
-def _shared(one: UsedRecord, other: UsedRecord) -> str | None:
+def _shared(first: UsedRecord, other: UsedRecord) -> str | None:
     """Times of one record that are also of another, in words; None where they are of other files or times."""
-    pairs = ((a, b) for a in one.segments for b in other.segments)
+    pairs = ((a, b) for a in first.segments for b in other.segments)
     shared = [a for a, b in pairs if a[0] <= b[1] and b[0] <= a[1]]
-    return f"{shared[0][0]:g} to {shared[0][1]:g} s" if shared and one.inputs == other.inputs else None
+    return f"{shared[0][0]:g} to {shared[0][1]:g} s" if shared and first.inputs == other.inputs else None
 
 
 def _check_not_repeated(used: Sequence[UsedRecord]) -> None:
@@ -396,10 +396,10 @@ def _check_not_repeated(used: Sequence[UsedRecord]) -> None:
 
     raises : InputError naming both and the times
     """
-    for one, other in combinations(used, 2):
-        if times := _shared(one, other):
+    for first, other in combinations(used, 2):
+        if times := _shared(first, other):
             raise InputError(
-                f"records {one.record} and {other.record} of the estimate are copies; {times} would count twice: "
+                f"records {first.record} and {other.record} of the estimate are copies; {times} would count twice: "
                 "estimate again with one of them"
             )
 
@@ -420,16 +420,16 @@ def _check_not_used(history: TableHistory, used: Sequence[UsedRecord]) -> None:
 
 
 def _round_table(
-    old: RatioTable, after: Posterior, header: dict[str, str], *, ratio_digits: int = 6, sigma_digits: int = 4
+    old: RatioTable, updated: Posterior, header: dict[str, str], *, ratio_digits: int = 6, sigma_digits: int = 4
 ) -> RatioTable:
     """The new table: changed nodes to a few digits, the others as they were, sigma nowhere larger.
 
     ratio_digits, sigma_digits : significant digits of a changed node, far below any sigma
     """
     assert old.sigma is not None
-    ratio = _significant(after.ratio, ratio_digits)
+    ratio = _significant(updated.ratio, ratio_digits)
     # Data never make a node less certain; rounding up must not either.
-    sigma = np.minimum(_significant(after.sigma, sigma_digits), old.sigma)
+    sigma = np.minimum(_significant(updated.sigma, sigma_digits), old.sigma)
     # Compared as rounded: nodes beyond the reach of the correlation keep every digit of their file.
     same = (ratio == _significant(old.ratio, ratio_digits)) & (sigma == _significant(old.sigma, sigma_digits))
     return RatioTable(old.axes, np.where(same, old.ratio, ratio), np.where(same, old.sigma, sigma), header)
@@ -497,7 +497,7 @@ def write_update(
     out     : folder for the copy; None for the vehicle itself
     errors  : as `errors_before_and_after` gives them
     draw    : draws the picture of the update into a file; without one there is no picture
-    held    : record of the estimate -> how well the tables hold the fit of it, the fields of `errors.HeldFit`
+    held    : record of the estimate -> how well the tables hold the fit of it, the fields of `HeldFit`
     returns : the vehicle's directory, and what was written
     raises  : InputError where the place cannot be written, or the vehicle was changed since the update was prepared;
               nothing is written then
@@ -508,8 +508,8 @@ def write_update(
             return update.vehicle.directory, _write(update, update.vehicle, content, picture)
         return _write_copy(update, out, content, picture)
     except OSError as error:
-        place = display_path(error.filename or out or update.vehicle.directory)
-        raise InputError(f"{place}: cannot be written ({os_error_reason(error)}); choose another place") from None
+        path = display_path(error.filename or out or update.vehicle.directory)
+        raise InputError(f"{path}: cannot be written ({os_error_reason(error)}); choose another place") from None
 
 
 def _picture(update: TableUpdate, draw: Draw | None) -> bytes | None:
@@ -529,14 +529,14 @@ def _write_copy(
     with exclusive(out) as folder, staged(folder) as staging:
         copy = staging / source.name
         shutil.copytree(source, copy, ignore=shutil.ignore_patterns(LOCK, STAGING))
-        made = _write(update, load_vehicle(copy), content, picture)
+        revision = _write(update, load_vehicle(copy), content, picture)
         for path in (*copy.rglob("*"), copy):
             make_durable(path)
         if os.path.lexists(folder / source.name):
             raise _exists(out, source.name)
         os.replace(copy, folder / source.name)
         make_durable(folder)
-    return out / source.name, made
+    return out / source.name, revision
 
 
 def _write(update: TableUpdate, vehicle: Vehicle, content: dict[str, Any], picture: bytes | None) -> RevisionFile:

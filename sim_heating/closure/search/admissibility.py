@@ -44,35 +44,41 @@ def _convergence(trial: TrialFit) -> list[str]:
 
 def _definitions(trial: TrialFit, candidate: Candidate) -> dict[str, Parameter]:
     """Definitions of the parameters of an effect by dotted name, with their declared scatter."""
-    part = trial.problem.record_fits[0]
-    return {n: sensor_definition(part.record, n) or part.model.definition(n) for n in candidate.names}
+    fit_of_record = trial.record_fit
+    return {n: sensor_definition(fit_of_record.record, n) or fit_of_record.model.definition(n) for n in candidate.names}
 
 
 def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
     """Objections to values: on a bound, or further from nominal than the declared scatter allows."""
-    found, lines = fitted_values(trial), []
+    values, lines = fitted_values(trial), []
     names = [u.parameter.name for u in trial.problem.unknowns]
     for name, p in _definitions(trial, candidate).items():
-        value, own = found[name], name.rpartition(".")[2]
+        value, short = values[name], name.rpartition(".")[2]
         if trial.fit.on_bound[names.index(name)] and not abs(value - p.value) <= POLICY.near_bound_sigmas * p.sigma:
-            line = [f"{own} is on its bound, {value:g}"]
+            line = [f"{short} is on its bound, {value:g}"]
         elif name in candidate.with_prior and not _has_any_size(trial, name):
-            line = _off(own, value, p)
+            line = _off(short, value, p)
         else:
             continue
         # where rise and fall of a form cancel, its magnitude by itself says nothing of what it does
-        if line and not _net_change(trial, candidate, own) <= POLICY.max_scatter_sigmas * p.sigma:
+        if line and not _net_change(trial, candidate, short) <= POLICY.max_scatter_sigmas * p.sigma:
             lines += line
     return lines
 
 
-def _net_change(trial: TrialFit, candidate: Candidate, own: str) -> float:
+def _net_change(trial: TrialFit, candidate: Candidate, short: str) -> float:
     """Largest relative change of the heating by an effect that multiplies it, over the samples of its record [-].
 
-    own : name of a parameter within the effect; infinity where that is no magnitude of such an effect
+    short : name of a parameter within the effect; infinity where that is no magnitude of such an effect
     """
     effect = effects().get(candidate.name)
-    if effect is None or effect.kernel is None or effect.mode != "multiply" or effect.lags or own not in effect.neutral:
+    if (
+        effect is None
+        or effect.kernel is None
+        or effect.mode != "multiply"
+        or effect.lags
+        or short not in effect.neutral
+    ):
         return math.inf
     used = next(u for u in fitted_effects(trial) if u.effect.name == candidate.name)
     try:
@@ -105,12 +111,12 @@ def far_from_declared(trial: TrialFit, candidate: Candidate) -> list[str]:
     effect adds to a ratio has no size of its own, as ratios themselves differ by two decades over a vehicle. As for a
     change of the record, such a value may be named where it explains the record, and not where it only resembles it.
     """
-    found = fitted_values(trial)
+    values = fitted_values(trial)
     return [
         f"{candidate.name}: {line}"
         for name, p in _definitions(trial, candidate).items()
         if name in candidate.with_prior and _has_any_size(trial, name)
-        for line in _off(name.rpartition(".")[2], found[name], p)
+        for line in _off(name.rpartition(".")[2], values[name], p)
     ]
 
 
@@ -120,19 +126,19 @@ def _has_any_size(trial: TrialFit, name: str) -> bool:
     if name in RECORD_PARAMETERS or name.startswith(SENSOR_PREFIX):
         return True
     _, _, effect_and_own = name.partition(EFFECT_PREFIX)
-    effect, _, own = effect_and_own.partition(".")
-    known = effects().get(effect)
-    if known is None:
+    effect, _, short = effect_and_own.partition(".")
+    library = effects().get(effect)
+    if library is None:
         return layer_parameter(name) is not None
-    stands_for = dict(zip((p.name for p in known.parameters), known.model_parameters, strict=False))
-    adds = known.mode == "add" and trial.problem.record_fits[0].model.definition(name).unit.startswith("1")
-    return adds or layer_parameter(stands_for.get(own, name)) is not None
+    stands_for = dict(zip((p.name for p in library.parameters), library.model_parameters, strict=False))
+    adds = library.mode == "add" and trial.record_fit.model.definition(name).unit.startswith("1")
+    return adds or layer_parameter(stands_for.get(short, name)) is not None
 
 
 def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
     """Objection to a magnitude that the record does not tell from none."""
     names = [u.parameter.name for u in trial.problem.unknowns]
-    declared = {used.effect.name for used in trial.problem.record_fits[0].record.declared.heating.effects}
+    declared = {used.effect.name for used in trial.record_fit.record.declared.heating.effects}
     effect = (
         None if candidate.name in declared else effects().get(candidate.name)
     )  # a declared one differs from its declaration

@@ -1,10 +1,12 @@
-"""Hypotheses on a record, and what the search concludes from them.
+"""Hypotheses on a record, or on several, and what the search concludes from them.
 
 A hypothesis is a model of the record that was fitted: the declared one, the declared one with one or more effects, or
 the declared one on a record that is changed (record_change.py), since its flight, its wall or a sensor is other than
-stated.
+stated. On several records it is one such model that some of them have in common (joint_model.py).
 All are compared by one score, BIC with the segments held out (ranking.py), relative to the declared model; those that
-may not be named (admissibility.py) are left out of the comparison.
+may not be named (admissibility.py) are left out of the comparison. The score of several records is the sum of theirs: a
+parameter of one record costs the logarithm of its number of samples, a common one that of all records that have it, so
+that one common value is cheaper than two of their own.
 """
 
 from __future__ import annotations
@@ -17,31 +19,31 @@ import numpy as np
 
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
 from sim_heating.closure.search.admissibility import OFF, far_from_declared, objections
+from sim_heating.closure.search.joint_model import JointModel
 from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
-from sim_heating.closure.search.simulated_records import RECORDS, with_simulated_p_value
+from sim_heating.closure.search.simulated_records import with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
+from sim_heating.closure.search.trials.candidates import NO_EFFECT
 from sim_heating.closure.search.trials.change import RecordChange
-from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
-from sim_heating.closure.verdict.adequacy import Adequacy, assess
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count, table_log_prior
+from sim_heating.closure.verdict.adequacy import Adequacy, assess, pooled
 from sim_heating.closure.verdict.policy import POLICY
+from sim_heating.estimation.inference.newton import Fit
 
 TWINS = frozenset({"thickness_factor", "heat_capacity_factor"}), frozenset({CLOCK_SKEW.name, COMMON_LAG.name})
 """Parameters of one thing that act nearly alike: of a layer below the coating, whose thickness moves no thermocouple by
 much; a clock that is late, and thermocouples that lag."""
 
 
-def adequacy_of(trial: TrialFit, records: int = RECORDS) -> Adequacy:
-    """Whether the model of a trial explains the record to its noise.
-
-    records : number of records that are made for the p-value of a model with an error
-    """
+def adequacy_of(trial: TrialFit, members: int = 1) -> Adequacy:
+    """Whether the model of a trial explains the record to its noise; members : records that have it in common."""
     held_out = [] if trial.held_out_chi2 == 0.0 else trial.held_out_samples
-    return with_simulated_p_value(trial, assess(trial.fitted_samples, held_out), records)
+    return with_simulated_p_value(trial, assess(trial.fitted_samples, held_out), members)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Hypothesis:
-    """A fitted model of a record.
+    """A fitted model of a record, or of several.
 
     trials     : its effects, each fitted on top of those before; the last one holds the values of all. The declared
                  model alone, or on a changed record, is the trial named `none`
@@ -50,6 +52,12 @@ class Hypothesis:
     price      : of the number of forms tried of each of its effects, and of what else speaks against it, in units of
                  BIC
     score      : BIC with held-out segments, relative to the declared model, with the noise scale of the best
+    model      : of the records that have its cause, where there are several; None for the declared models
+    each       : of several records, the trial of each: of a member with the common values, of another one with what it
+                 shows alone
+    alone      : score of the explanation that each of several records has by itself, where it is no member; else 0
+    shares     : score of each record relative to its declared model; with `common` they add up to the score
+    common     : what common parameters, priors and forms add to the score
     """
 
     trials: tuple[TrialFit, ...]
@@ -57,6 +65,21 @@ class Hypothesis:
     objections: tuple[str, ...] = ()
     price: float = 0.0
     score: float = 0.0
+    model: JointModel | None = None
+    each: tuple[TrialFit, ...] = ()
+    alone: tuple[float, ...] = ()
+    shares: tuple[float, ...] = ()
+    common: float = 0.0
+
+    @property
+    def by_record(self) -> tuple[TrialFit, ...]:
+        """The trial of each record."""
+        return self.each or (self.last,)
+
+    @property
+    def members(self) -> tuple[int, ...]:
+        """Indices of the records that have the cause; all for the declared models."""
+        return tuple(range(len(self.by_record))) if self.model is None else self.model.members
 
     @property
     def change(self) -> RecordChange | None:
@@ -79,6 +102,8 @@ class Hypothesis:
         """Kind of its first cause: "effect", "flight", "wall", "sensor", "table"; empty for the declared model."""
         if self.change is not None:
             return "effect" if self.change.effect else self.change.kind
+        if self.model is not None:
+            return self.model.cause.kind
         if not self.names:
             return ""
         return "table" if self.names == (TABLE,) else "effect"
@@ -100,19 +125,67 @@ class Hypothesis:
         return not self.objections
 
     @cached_property
+    def adequacy_by_record(self) -> tuple[Adequacy, ...]:
+        """Whether it explains each record to its noise.
+
+        Of models with an error each p-value is from as many records more as there are members, so that the smallest of
+        them can be as small as that of one record.
+        """
+        return tuple(adequacy_of(trial, len(self.members)) for trial in self.by_record)
+
+    @cached_property
     def adequacy(self) -> Adequacy:
-        """Whether it explains the record to its noise."""
-        return adequacy_of(self.last)
+        """Whether it explains the record, or its members, to their noise."""
+        if not self.each:
+            return self.adequacy_by_record[0]
+        problems = [self.each[i].problem for i in self.members]
+        names = [p.record_fits[0].record.name for p in problems]
+        members = [self.adequacy_by_record[i] for i in self.members]
+        return pooled(dict(zip(names, members, strict=True)), [sample_count(p) for p in problems])
 
     @property
     def adequate(self) -> bool:
         """Whether its p-value is at least `Policy.adequate_p`, or its residuals are noise larger than declared."""
         return self.adequacy.p_value >= POLICY.adequate_p or self.adequacy.unstructured
 
-    @property
+    @cached_property
     def excess_chi2(self) -> float:
-        """Reduced chi-square of the fitted samples less one."""
-        return self.last.excess_chi2
+        """Reduced chi-square of the fitted samples less one, of all records."""
+        if not self.each:
+            return self.last.excess_chi2
+        counts = [sample_count(t.problem) for t in self.each]
+        return float(np.average([t.excess_chi2 for t in self.each], weights=counts))
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log likelihood of the fitted samples, of all records [-]."""
+        return sum(t.fit.log_likelihood for t in self.by_record)
+
+    @property
+    def penalties(self) -> float:
+        """What its values cost by their distances from their priors, and what is common to several records [BIC]."""
+        if not self.each:
+            return sum(prior_penalty(self.last, t.candidate) for t in self.trials if t.name != "none")
+        common = 0.0 if self.model is None else self.model.common_cost(self.last.fit.values)
+        return common + self._flight_cost
+
+    @property
+    def _flight_cost(self) -> float:
+        """Cost of the errors of the flights of its members by their priors [BIC], each flight once."""
+        flights = {}
+        for trial in (self.each[i] for i in self.members):
+            fit, values = trial.record_fit, fitted_values(trial)
+            flights[fit.record.flight] = [values[n] for n in fit.flight_names]
+        return float(sum(np.sum(np.square(f)) for f in flights.values()))
+
+    def delta_bic(self, none: Hypothesis) -> float:
+        """BIC minus that of the declared model, residuals taken as noise, without segments held out."""
+        if not self.each:
+            return self.last.delta_bic if self.changed is None else self.changed.delta_bic
+        fits = [(self.each[i].fit, none.each[i].fit) for i in self.members]
+        gained = sum(f.log_likelihood + table_log_prior(f) - g.log_likelihood - table_log_prior(g) for f, g in fits)
+        others = sum(score for i, score in enumerate(self.alone) if i not in self.members)
+        return (0.0 if self.model is None else self.model.parameter_cost) - 2.0 * gained + others
 
     def __repr__(self) -> str:
         names, why = " + ".join(self.names) or "none", "; ".join(self.objections) or "admissible"
@@ -151,26 +224,55 @@ def change_hypothesis(
     if parameter is not None and abs(trial.value - parameter.value) < POLICY.min_sigmas * trial.sigma:
         against.append(f"{change.what}: less than {POLICY.min_sigmas:g} standard deviations from none")
     counted = len(change.free) + (1 if change.in_model else 0)  # by the trial's own problem
-    more = (change.unknowns - counted) * float(np.log(sample_count(trial.problem)))
+    uncounted = (change.unknowns - counted) * float(np.log(sample_count(trial.problem)))
     scatter = scatter_price(trial.deviation) + sum(map(scatter_price, trial.deviations_of_free))
-    price = 2.0 * float(np.log(max(tried, 1))) + more + scatter + against_motion
+    price = 2.0 * float(np.log(max(tried, 1))) + uncounted + scatter + against_motion
     far = trial.deviation > POLICY.max_scatter_sigmas
     lines = [f"{change.what} is {trial.deviation:.1f} {OFF} the declared value"] if far else []
     # the last trial of a hypothesis goes to other processes and back, which a change cannot
     return _with_far(Hypothesis((replace(trial, change=None, whole_fit=None),), trial, tuple(against), price), lines)
 
 
-def with_one_more(below: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) -> Hypothesis:
+def joint_hypothesis(
+    model: JointModel, fit: Fit, bases: Sequence[TrialFit], alone: Sequence[tuple[TrialFit, float]]
+) -> Hypothesis:
+    """The hypothesis that a cause is common to some of several records, with the objections to it.
+
+    fit   : of the model;  bases : by record, the declared model
+    alone : by record, the trial of its own explanation and the score of that, for records that are no members
+    """
+    each, cause = [trial for trial, _ in alone], model.cause
+    trials = model.split(fit)
+    gained = sum(t.fit.log_likelihood - bases[i].fit.log_likelihood for i, t in zip(model.members, trials, strict=True))
+    against: list[tuple[str, ...]] = []
+    judged = cause.candidates
+    if cause.kind == "wall":  # far from its declared scatter a wall is fined, as in the search of one record
+        judged = tuple(replace(c, with_prior=()) for c in judged)
+    for i, trial in zip(model.members, trials, strict=True):
+        # of several effects together it is not known what the last one gained
+        gain = gained if len(cause.names) == 1 else 0.0
+        delta = len(trial.candidate.names) * float(np.log(sample_count(trial.problem))) - 2.0 * gain
+        each[i] = replace(trial, name=cause.names[-1], delta_bic=delta)
+        against.append(objections(replace(each[i], candidate=judged[-1]), judged))
+    # what may be named in one of the records, with the values common to all, may be named
+    fewest = min(against, key=len)
+    by_name = {c.name: c for c in cause.candidates}
+    joint = tuple(TrialFit(n, by_name.get(n, NO_EFFECT), model.problem, None, fit) for n in cause.names)
+    scores = tuple(0.0 if i in model.members else float(score) for i, (_, score) in enumerate(alone))
+    return Hypothesis(joint, None, fewest, cause.price, model=model, each=tuple(each), alone=scores)
+
+
+def with_one_more(simpler: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) -> Hypothesis:
     """A hypothesis with one effect more, or one derivative of the table.
 
     trial : of it, fitted on top of the last one of the hypothesis;  forms : as in `hypothesis`
     """
-    own = hypothesis([trial], forms)
+    further = hypothesis([trial], forms)
     return replace(
-        below,
-        trials=(*below.trials, trial),
-        objections=(*below.objections, *own.objections),
-        price=below.price + own.price,
+        simpler,
+        trials=(*simpler.trials, trial),
+        objections=(*simpler.objections, *further.objections),
+        price=simpler.price + further.price,
     )
 
 
@@ -186,20 +288,25 @@ def _with_far(h: Hypothesis, far: Sequence[str]) -> Hypothesis:
 def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses with their scores relative to the declared model, best first; those that may not be named come last.
 
-    The scale of residuals is that of the best admissible one.
+    The scale of a record's residuals is that of the best admissible one in it.
     """
     admissible = [h for h in others if h.admissible]
-    best = max(admissible, key=lambda h: h.last.fit.log_likelihood, default=none).last
-
-    def score(h: Hypothesis) -> float:
-        penalties = sum(prior_penalty(h.last, t.candidate) for t in h.trials if t.name != "none")
-        return model_bic(h.last, best) + penalties + h.price
-
-    zero, scale = score(none), max(1.0, best.held_out_chi2)
+    best = max(admissible, key=lambda h: h.log_likelihood, default=none)
+    zero = [model_bic(t, b) for t, b in zip(none.by_record, best.by_record, strict=True)]
+    none_cost, scale = none.penalties + none.price, max(1.0, best.last.held_out_chi2)
 
     def rated(h: Hypothesis) -> Hypothesis:
-        against = dict.fromkeys((*h.objections, *_not_predicted(none, h, scale)))
-        return replace(h, score=score(h) - zero, objections=tuple(against))
+        bic = [
+            zero[i] + h.alone[i] if i not in h.members else
+            model_bic(t, b, h.model.common_names(t.record_fit.record) if h.model else ())
+            for i, (t, b) in enumerate(zip(h.by_record, best.by_record, strict=True))
+        ]  # fmt: skip
+        shares = [b - z if i in h.members else h.alone[i] for i, (b, z) in enumerate(zip(bic, zero, strict=True))]
+        penalties, against = h.penalties, dict.fromkeys((*h.objections, *_not_predicted(none, h, scale)))
+        return replace(
+            h, score=sum(bic) + penalties + h.price - (sum(zero) + none_cost), objections=tuple(against),
+            shares=tuple(shares), common=h.price + penalties - none_cost,
+        )  # fmt: skip
 
     return sorted(map(rated, others), key=lambda h: (not h.admissible, h.score))
 
@@ -219,8 +326,8 @@ def _not_predicted(none: Hypothesis, h: Hypothesis, scale: float) -> list[str]:
     if not gained >= -POLICY.held_out_gain:
         return ["it predicts the segments held out worse than the declared model"]
     excess = 0.5 * sample_count(trial.held_out) * max(declared.held_out_chi2 - 1.0, 0.0) / scale
-    share = (none.excess_chi2 - h.excess_chi2) / none.excess_chi2 if none.excess_chi2 > 0.0 else 0.0
-    if min(max(share, 0.0), 1.0) * excess >= POLICY.promised_gain and gained < POLICY.held_out_gain:
+    explained = (none.excess_chi2 - h.excess_chi2) / none.excess_chi2 if none.excess_chi2 > 0.0 else 0.0
+    if min(max(explained, 0.0), 1.0) * excess >= POLICY.promised_gain and gained < POLICY.held_out_gain:
         return ["it explains what the fitted segments show, and nothing of those held out"]
     return []
 
@@ -257,6 +364,34 @@ class Conclusion:
         return f"<Conclusion: {self.finding} {named}, rival {self.rival:+.1f}>"
 
 
+class Compared:
+    """Hypotheses that are compared, and what follows from them.
+
+    none       : the declared model, or the declared models of all records
+    hypotheses : those that were fitted, best first; those that may not be named come last
+    conclusion : what follows from them
+    """
+
+    none: Hypothesis
+    hypotheses: tuple[Hypothesis, ...]
+    conclusion: Conclusion
+
+    @property
+    def explained(self) -> bool:
+        """Whether a cause was found, an effect or another."""
+        return self.conclusion.finding in ("found", "one of")
+
+    @property
+    def compared(self) -> Hypothesis:
+        """The best that may be named and is better than the declared model, which is that where there is none.
+
+        Errors after are of it, whether it is named as the cause or not.
+        """
+        if self.explained or self.conclusion.finding == "none":
+            return self.conclusion.best
+        return next((h for h in self.hypotheses if h.admissible and h.score < 0.0), self.none)
+
+
 def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     """The conclusion from all hypotheses.
 
@@ -272,7 +407,7 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
         margin = min((h.score for h in admissible), default=np.inf)
         return Conclusion("unknown" if unexplained else "none", none, (), float(margin))
     explained = none.excess_chi2 - best.excess_chi2
-    share = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
+    fraction = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
     inside = [h for h in admissible if h.score <= best.score + POLICY.set_margin and len(h.names) == len(best.names)]
     inside += [
         h for h in admissible if h not in inside and h.score <= best.score + POLICY.twin_margin and _is_twin(h, best)
@@ -285,19 +420,19 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     barred = min((h.score for h in rated if not h.admissible and np.isfinite(h.score)), default=best.score)
     beaten = max(float(best.score - barred), 0.0)
     if best.adequate and _small_error(best):
-        several = any(len(slot) > 1 for slot in alternatives)
-        return Conclusion("one of" if several else "found", best, alternatives, rival, share, beaten)
-    if share >= POLICY.min_explained:
-        return Conclusion("partly", best, alternatives, rival, share, beaten)
-    return Conclusion("unknown", best, (), rival, share, beaten)
+        is_set = any(len(slot) > 1 for slot in alternatives)
+        return Conclusion("one of" if is_set else "found", best, alternatives, rival, fraction, beaten)
+    if fraction >= POLICY.min_explained:
+        return Conclusion("partly", best, alternatives, rival, fraction, beaten)
+    return Conclusion("unknown", best, (), rival, fraction, beaten)
 
 
 def _is_twin(h: Hypothesis, best: Hypothesis) -> bool:
     """Whether an adequate hypothesis differs from the best in one cause, which is a physical twin of the other's."""
     if len(h.names) != len(best.names) or len(set(h.names) - set(best.names)) != 1 or not h.adequate:
         return False
-    own, others = _things(h) - _things(best), _things(best) - _things(h)
-    return any(a[0] == b[0] and {a[1], b[1]} in TWINS for a in own for b in others)
+    things, others = _things(h) - _things(best), _things(best) - _things(h)
+    return any(a[0] == b[0] and {a[1], b[1]} in TWINS for a in things for b in others)
 
 
 def _things(h: Hypothesis) -> set[tuple[str, str]]:

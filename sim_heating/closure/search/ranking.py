@@ -16,7 +16,7 @@ Selection and Multimodel Inference, 2nd ed., sec. 2.5). The score adds
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -83,12 +83,17 @@ def scored_trials(base: TrialFit, trials: Sequence[TrialFit], forms: Mapping[str
     return tuple(sorted(scored, key=lambda t: t.score))
 
 
-def model_bic(trial: TrialFit, best: TrialFit) -> float:
-    """BIC of a whole model with the segments held out, residuals on the scale of those of the best model."""
+def model_bic(trial: TrialFit, best: TrialFit, common_names: Collection[str] = ()) -> float:
+    """BIC of a whole model with the segments held out, residuals on the scale of those of the best model.
+
+    common_names : of parameters that are in common with other records, which are not counted here
+    """
+    fit = trial.record_fit
     c = max(1.0, 1.0 + best.excess_chi2)
     held_out = trial.held_out_log_likelihood / max(1.0, best.held_out_chi2)
     # Those with the prior of the table are common to all models; a model that frees one of them has one more.
-    parameters = np.count_nonzero([not is_of_table(u.parameter) for u in trial.problem.unknowns])
+    counted = [u for u in trial.problem.unknowns if not is_of_table(u.parameter)]
+    parameters = sum(u.parameter.name not in {*common_names, *fit.flight_names} for u in counted)
     log_posterior = trial.log_evidence / c + held_out + table_log_prior(trial.fit)
     return -2.0 * log_posterior + parameters * float(np.log(sample_count(trial.problem)))
 
@@ -123,9 +128,11 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
 
 def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
     """What the estimates of an effect of a trial's model cost by their distances from their priors [BIC]."""
-    part, found = trial.problem.record_fits[0], fitted_values(trial)
-    priors = {n: sensor_definition(part.record, n) or part.model.definition(n) for n in candidate.with_prior}
-    return sum(scatter_price(abs(found[n] - p.value) / p.sigma) for n, p in priors.items())
+    record_fit, values = trial.record_fit, fitted_values(trial)
+    priors = {
+        n: sensor_definition(record_fit.record, n) or record_fit.model.definition(n) for n in candidate.with_prior
+    }
+    return sum(scatter_price(abs(values[n] - p.value) / p.sigma) for n, p in priors.items())
 
 
 def scatter_price(deviation: float) -> float:

@@ -44,11 +44,12 @@ def refine(
     """
     gains = {t.name: t.fit.log_likelihood - base.fit.log_likelihood for t in trials}
     best = max(gains.values(), default=0.0)
-    share = (
+    fraction = (
         POLICY.min_of_adequate if any(_is_adequate(t) for t in trials if gains[t.name] == best) else POLICY.min_of_best
     )
     led = sorted(
-        (t for t in trials if gains[t.name] >= min(share * best, best - POLICY.rival_margin)), key=lambda t: t.delta_bic
+        (t for t in trials if gains[t.name] >= min(fraction * best, best - POLICY.rival_margin)),
+        key=lambda t: t.delta_bic,
     )[: EFFORT.causes]
     forms = [(t, c, start) for t in led for c, start in _forms(base, t, tried, predicted)]
     problems = [problem_with(base, c) for _, c, _ in forms]
@@ -89,16 +90,16 @@ def _contender(base: TrialFit, candidate: Candidate, problem: FitProblem, fit: F
     return replace(trial, objections=objections(trial))
 
 
-def recorrected(trial: TrialFit, whole: Record) -> TrialFit:
+def recorrected(trial: TrialFit, record: Record) -> TrialFit:
     """A trial with the mesh correction at its own values, fitted on from there; as it is where that cannot be marched.
 
-    whole : the record that the search has thinned
+    record : the record that the search has thinned
 
     The correction of all candidates is that at the declared model. Where an effect moves heating in seconds, or changes
     the wall, the error of its own march differs by more than the noise.
     """
     try:
-        error_K, at_s = own_thinning_error(trial, whole)
+        error_K, at_s = own_thinning_error(trial, record)
     except InputError:  # a broken sensor that one of the two leaves out
         return trial
     again = corrected(trial, (error_K, at_s))
@@ -120,11 +121,13 @@ def _forms(
     """Forms of an effect to be fitted, each with the values to start from."""
     below, at = fitted_values(base), fitted_values(trial)
     forms = [(trial.candidate, at)]
-    own = sorted((k for k, c in enumerate(tried) if c.name == trial.name), key=lambda k: -predicted[k])
-    known = [k for k in own if np.isfinite(predicted[k])]
-    richest = [tried[k].form for k in known if not any(tried[k].form.is_special_case_of(tried[j].form) for j in own)]
+    of_effect = sorted((k for k, c in enumerate(tried) if c.name == trial.name), key=lambda k: -predicted[k])
+    marched = [k for k in of_effect if np.isfinite(predicted[k])]
+    richest = [
+        tried[k].form for k in marched if not any(tried[k].form.is_special_case_of(tried[j].form) for j in of_effect)
+    ]
     for form in list(dict.fromkeys(richest))[: EFFORT.rivals]:
-        starts = [tried[k] for k in known if tried[k].form == form]
+        starts = [tried[k] for k in marched if tried[k].form == form]
         if trial.candidate.form.is_special_case_of(form):
             forms.append((starts[0], {**below, **starts[0].start, **at}))
         if form != trial.candidate.form:

@@ -38,6 +38,7 @@ from sim_heating.closure.search.changes.record_change import fit_changes, with_o
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.changes.wall_changes import wall_changes
 from sim_heating.closure.search.hypothesis import (
+    Compared,
     Conclusion,
     Hypothesis,
     change_hypothesis,
@@ -74,47 +75,30 @@ from sim_heating.inputs.record import Record
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SearchResult:
+class SearchResult(Compared):
     """The result of the search for missing effects in one record.
 
     before     : the declared model's fit, its magnitude and derivatives
-    rounds     : passes over the candidates, the first one on top of the declared model
+    first      : the pass over all candidates on top of the declared model
     hypotheses : all models that were fitted to convergence, best first; those that may not be named come last
     conclusion : what follows from them
     discrepancies : parts of the flight whose conditions contradict each other
     curve      : the best smooth curve against one variable, where nothing adequate was found
-    begun_with : the declared model as the search began with it, where `none` has the error that the record says it has
     """
 
     record: Record
     before: FitResult
-    rounds: tuple[SearchRound, ...]
+    first: SearchRound
     none: Hypothesis
     hypotheses: tuple[Hypothesis, ...]
     conclusion: Conclusion
     discrepancies: Sequence[Discrepancy] = ()
     curve: TrialFit | None = None
-    begun_with: TrialFit | None = None
 
     @property
     def base(self) -> TrialFit:
-        """The declared model as the search began with it."""
-        return self.begun_with or self.none.last
-
-    @property
-    def explained(self) -> bool:
-        """Whether a cause was found, an effect or another."""
-        return self.conclusion.finding in ("found", "one of")
-
-    @property
-    def compared(self) -> Hypothesis:
-        """The best model that may be named and is better than the declared one, which is that where there is none.
-
-        Errors after are of this model, whether it is named as the cause or not.
-        """
-        if self.explained or self.conclusion.finding == "none":
-            return self.conclusion.best
-        return next((h for h in self.hypotheses if h.admissible and h.score < 0.0), self.none)
+        """The declared model as the search began with it, where `none` has the error that the record says it has."""
+        return self.first.base
 
     @property
     def added(self) -> tuple[TrialFit, ...]:
@@ -128,7 +112,7 @@ class SearchResult:
         return named or (self.conclusion.effect_name,)
 
     def __repr__(self) -> str:
-        return f"<SearchResult of {self.record.name}: {' + '.join(self.names)}, {len(self.rounds)} round(s)>"
+        return f"<SearchResult of {self.record.name}: {' + '.join(self.names)}>"
 
 
 def search_effects(
@@ -145,7 +129,7 @@ def search_effects(
     first = search_round(base, [], _part(progress, 0.1, 0.35, "one effect"))
     singles = _refined(base, first, _part(progress, 0.35, 0.45, "one effect"))
     none = hypothesis([base], {})
-    rounds, hypotheses = [first], [hypothesis([t], first.forms) for t in singles]
+    hypotheses = [hypothesis([t], first.forms) for t in singles]
     discrepancies = flight_discrepancies(record.conditions)
     hypotheses += _changes(before, base, singles, discrepancies, _explaining(hypotheses), progress)
     rated = scored(none, hypotheses)
@@ -153,23 +137,17 @@ def search_effects(
         hypotheses += _fitted_on(base, none, hypotheses, record, first.forms)
         rated = scored(none, hypotheses)
     if _more_is_missing(none, rated):
-        more, pairs = _with_one_more(_first_picks(hypotheses), first.forms, _part(progress, 0.5, 0.8, "two effects"))
-        rounds += more
+        pairs = _with_one_more(_first_picks(hypotheses), first.forms, _part(progress, 0.5, 0.8, "two effects"))
         rated = _accepted(none, [*hypotheses, *pairs])
         if _more_is_missing(none, rated):
             pairs += _fitted_on(base, none, pairs, record, first.forms)
         hypotheses += pairs
         rated = _accepted(none, hypotheses)
         if _more_is_missing(none, rated) and len(rated[0].names) == 2 and rated[0].change is None:
-            more, triples = _with_one_more(
-                [list(rated[0].trials)], first.forms, _part(progress, 0.8, 0.9, "three effects")
-            )
-            rounds += more
+            triples = _with_one_more([list(rated[0].trials)], first.forms, _part(progress, 0.8, 0.9, "three effects"))
             hypotheses += [*triples, *_recorrected(none, triples, record, first.forms)]
         hypotheses += _pruned(base, _accepted(none, hypotheses), first.forms)
-        more, exchanged = _exchanged(base, none, hypotheses, first, _part(progress, 0.85, 0.9, "rivals of the causes"))
-        rounds += more
-        hypotheses += exchanged
+        hypotheses += _exchanged(base, none, hypotheses, first, _part(progress, 0.85, 0.9, "rivals of the causes"))
         rated = _accepted(none, hypotheses)
         if _more_is_missing(none, rated):
             hypotheses += _on_the_best_change(none, rated, _part(progress, 0.9, 0.95, "an effect besides a change"))
@@ -179,7 +157,7 @@ def search_effects(
     if conclusion.finding in ("partly", "unknown"):
         progress(0.95, "a curve against the variable that the residual follows")
         curve = next(iter(curve_trials(base)), None)
-    return SearchResult(record, before, tuple(rounds), none, tuple(rated), conclusion, discrepancies, curve, base)
+    return SearchResult(record, before, first, none, tuple(rated), conclusion, discrepancies, curve)
 
 
 def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, list[Hypothesis]]:
@@ -187,7 +165,7 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
 
     Until here all have one error, of middling size, and with the response about the declared model.
     """
-    if none.last.problem.record_fits[0].model_error is None:
+    if none.last.record_fit.model_error is None:
         return none, list(rated)
     leading = [h for h in rated if h.admissible][: EFFORT.compared] + [h for h in rated if not h.admissible][
         : EFFORT.compared
@@ -199,13 +177,13 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
     return none, scored(none, judged)
 
 
-def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:
+def _part(progress: Progress, begin: float, end: float, label: str) -> Progress:
     """Progress of a part of the search."""
-    return lambda fraction, text: progress(begin + (end - begin) * fraction, f"{what}: {text}")
+    return lambda fraction, text: progress(begin + (end - begin) * fraction, f"{label}: {text}")
 
 
 def _changes(
-    before: FitResult,
+    baseline: FitResult,
     base: TrialFit,
     singles: Sequence[TrialFit],
     discrepancies: Sequence[Discrepancy],
@@ -223,7 +201,7 @@ def _changes(
         two where an effect explains the record to its noise
     """
     progress(0.45, "changes of the flight, the wall and the sensors")
-    record = base.problem.record_fits[0].record
+    record = base.record_fit.record
     changes = [
         *flight_changes(record, discrepancies), *lamp_changes(record), *wall_changes(record), *shape_changes(record),
         *sensor_changes(base),
@@ -234,14 +212,16 @@ def _changes(
         and not (c.free and (c.effect in explained or any(is_fitted(base, name) for name in c.free)))
     ]  # fmt: skip
     best = max((t.fit.log_likelihood - base.fit.log_likelihood for t in singles), default=0.0)
-    share, near_share = shares_beside_adequate if explained else change_shares
+    least_fraction, near_share = shares_beside_adequate if explained else change_shares
     fits = with_own_corrections(
-        before, base, fit_changes(base, changes, best, share=share, near_share=near_share, most=EFFORT.compared)
+        baseline,
+        base,
+        fit_changes(base, changes, best, share=least_fraction, near_share=near_share, most=EFFORT.compared),
     )
-    whole = before.problem.record_fits[0].record
+    stated = baseline.problem.record_fits[0].record
     tried = Counter(c.family for c in changes)
     return [
-        change_hypothesis(t, tried[t.change.family], motion_evidence(whole, t), contradicted_by_motion(whole, t))
+        change_hypothesis(t, tried[t.change.family], motion_evidence(stated, t), contradicted_by_motion(stated, t))
         for t in fits
         if t.change is not None
     ]
@@ -252,12 +232,12 @@ def _explaining(hypotheses: Sequence[Hypothesis]) -> set[str]:
     return {name for h in hypotheses if h.admissible and h.adequate for name in h.names}
 
 
-def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
+def _candidates(base: TrialFit, excluded: Sequence[str]) -> list[Candidate]:
     """All candidates on top of a model, over the samples that are fitted."""
-    record = base.problem.record_fits[0].record
+    record = base.record_fit.record
     flown = conditions_of_record(record)
-    fitted = [n.split(".")[1] for n in base.problem.record_fits[0].march_names if n.startswith(EFFECT_PREFIX)]
-    tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*taken, *fitted])
+    fitted = [n.split(".")[1] for n in base.record_fit.march_names if n.startswith(EFFECT_PREFIX)]
+    tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*excluded, *fitted])
     return [c for c in tried if not any(is_fitted(base, name) for name in c.model_names)]
 
 
@@ -286,8 +266,8 @@ def _with_one_more(
     pair_share: float = 0.3,
     most_pairs: int = 24,
     starts_of_pair: int = 1,
-) -> tuple[list[SearchRound], list[Hypothesis]]:
-    """A round on top of each of several stacks of effects, all side by side, and hypotheses with one effect more.
+) -> list[Hypothesis]:
+    """Hypotheses with one effect more on top of each of several stacks of effects, a round of each side by side.
 
     stacks : effects, each fitted on top of those before
     pair_share, most_pairs, starts_of_pair : of the most that a further effect promises, on top of any first one: the
@@ -326,7 +306,7 @@ def _with_one_more(
         refined = refine(bases[i], trials, of_round.tried, of_round.predicted) if trials else []
         ordered = sorted(refined, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
         hypotheses += [hypothesis([*stacks[i], t], {**forms, **of_round.forms}) for t in ordered]
-    return rounds, hypotheses
+    return hypotheses
 
 
 def _screened(stack: Sequence[TrialFit]) -> tuple[list[Candidate], list[float]]:
@@ -385,8 +365,8 @@ def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int
 
 def _exchanged(
     base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], first: SearchRound, progress: Progress
-) -> tuple[list[SearchRound], list[Hypothesis]]:
-    """The rounds and hypotheses in which other effects stand in place of members of the leading hypothesis.
+) -> list[Hypothesis]:
+    """Hypotheses in which other effects stand in place of members of the leading one.
 
     first : the round of single effects
 
@@ -394,8 +374,7 @@ def _exchanged(
     with one. So each effect of the leading model is left out, and all are put in their simplest forms, before another
     one is sought, as long as that finds a better model.
     """
-    rounds: list[SearchRound] = []
-    more: list[Hypothesis] = []
+    exchanged: list[Hypothesis] = []
     rated = _accepted(none, hypotheses)
     for _ in range(EFFORT.rivals):
         if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
@@ -406,13 +385,11 @@ def _exchanged(
             reduced.append([_in_simplest_form(t, first.tried) for t in best.trials])
         stacks = [_stack_effects(base, effects_of, values) for effects_of in reduced]
         stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
-        seen, tried = _with_one_more(stacks, first.forms, progress)
-        rounds += seen
-        more += tried
-        rated = _accepted(none, [*hypotheses, *more])
+        exchanged += _with_one_more(stacks, first.forms, progress)
+        rated = _accepted(none, [*hypotheses, *exchanged])
         if set(rated[0].names) == set(best.names):
             break
-    return rounds, more
+    return exchanged
 
 
 def _in_simplest_form(trial: TrialFit, tried: Sequence[Candidate]) -> TrialFit:
@@ -430,15 +407,15 @@ def _first_picks(hypotheses: Sequence[Hypothesis]) -> list[list[TrialFit]]:
 
 
 def _fitted_on(
-    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
+    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], record: Record, forms: Mapping[str, int]
 ) -> list[Hypothesis]:
     """Hypotheses that explain most of the excess, fitted on: with their own mesh correction, and, where none of these
     explains the record, with an effect in a free form."""
-    more = _recorrected(none, hypotheses, whole, forms)
-    if not _explaining(more):
-        free = _free_forms(base, none, [*hypotheses, *more], forms)
-        more += [*free, *_recorrected(none, free, whole, forms)]
-    return more
+    fitted = _recorrected(none, hypotheses, record, forms)
+    if not _explaining(fitted):
+        free = _free_forms(base, none, [*hypotheses, *fitted], forms)
+        fitted += [*free, *_recorrected(none, free, record, forms)]
+    return fitted
 
 
 def _explaining_most(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -449,7 +426,7 @@ def _explaining_most(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list
 
 
 def _recorrected(
-    none: Hypothesis, hypotheses: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int], *, most: int = 4
+    none: Hypothesis, hypotheses: Sequence[Hypothesis], record: Record, forms: Mapping[str, int], *, most: int = 4
 ) -> list[Hypothesis]:
     """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess.
 
@@ -459,19 +436,19 @@ def _recorrected(
     for h in _explaining_most(none, hypotheses):
         if not h.adequate:
             leading.setdefault(frozenset(h.names), h)
-    return [hypothesis([*h.trials[:-1], recorrected(h.last, whole)], forms) for h in list(leading.values())[:most]]
+    return [hypothesis([*h.trials[:-1], recorrected(h.last, record)], forms) for h in list(leading.values())[:most]]
 
 
 def _free_forms(
     base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], forms: Mapping[str, int]
 ) -> list[Hypothesis]:
     """Hypotheses with one effect in a free form (free_forms.py), for those that explain most of the excess."""
-    wanted: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
+    tried: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
     for h in _explaining_most(none, hypotheses)[: EFFORT.causes]:
         for freed in h.trials:
             others = [t for t in h.trials if t is not freed]
             key = (freed.name, *sorted(t.name for t in others))
-            if freed.name not in FREE_FORMS or key in wanted:
+            if freed.name not in FREE_FORMS or key in tried:
                 continue
             values = fitted_values(h.last)
             candidate = free_form(base, freed, values)
@@ -479,17 +456,17 @@ def _free_forms(
                 continue
             stack = [base, *_stack_effects(base, others, values)]
             if np.isfinite(stack[-1].fit.log_likelihood):
-                wanted[key] = (stack, candidate, {**values, **candidate.start})
-    problems = [problem_with(stack[-1], c) for stack, c, _ in wanted.values()]
-    starts = [start_values(p, start) for p, (_, _, start) in zip(problems, wanted.values(), strict=True)]
+                tried[key] = (stack, candidate, {**values, **candidate.start})
+    problems = [problem_with(stack[-1], c) for stack, c, _ in tried.values()]
+    starts = [start_values(p, start) for p, (_, _, start) in zip(problems, tried.values(), strict=True)]
     fits = maximise_together(problems, starts, CONVERGE) if problems else []
-    more = []
-    for (stack, c, _), problem, fit in zip(wanted.values(), problems, fits, strict=True):
+    freed_hypotheses = []
+    for (stack, c, _), problem, fit in zip(tried.values(), problems, fits, strict=True):
         if np.isfinite(fit.log_likelihood):
             held_out = held_out_problem_with(stack[-1], c)
             trial = TrialFit(c.name, c, problem, held_out, fit, delta_bic(stack[-1], fit, c, 1.0))
-            more.append(hypothesis([*stack[1:], trial], forms))
-    return more
+            freed_hypotheses.append(hypothesis([*stack[1:], trial], forms))
+    return freed_hypotheses
 
 
 def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
@@ -501,9 +478,9 @@ def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress:
     best = next((h for h in rated if h.change is not None and h.admissible and len(h.names) == 1), None)
     if best is None or none.excess_chi2 - best.excess_chi2 < POLICY.min_explained * none.excess_chi2:
         return []
-    more = search_round(best.last, best.effects, progress)
-    refined = sorted(_refined(best.last, more, progress), key=lambda t: (not t.admissible, t.delta_bic))
-    hypotheses = [with_one_more(best, t, more.forms) for t in refined[: EFFORT.starts]]
+    of_round = search_round(best.last, best.effects, progress)
+    refined = sorted(_refined(best.last, of_round, progress), key=lambda t: (not t.admissible, t.delta_bic))
+    hypotheses = [with_one_more(best, t, of_round.forms) for t in refined[: EFFORT.starts]]
     return [h for h in hypotheses if h.adequate]
 
 
@@ -511,21 +488,21 @@ def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[
     """Effects one on top of the other on the base, each fitted from the values given."""
     stack = [base]
     for trial in effects:
-        below, own = stack[-1], {n: values[n] for n in trial.candidate.names}
+        below, start = stack[-1], {n: values[n] for n in trial.candidate.names}
         problem, held_out = problem_with(below, trial.candidate), held_out_problem_with(below, trial.candidate)
-        fit = maximise_together([problem], [start_values(problem, {**fitted_values(below), **own})], CONVERGE)[0]
+        fit = maximise_together([problem], [start_values(problem, {**fitted_values(below), **start})], CONVERGE)[0]
         delta = delta_bic(base, fit, trial.candidate, 1.0)
         stack.append(replace(trial, problem=problem, held_out=held_out, fit=fit, delta_bic=delta))
     return stack[1:]
 
 
-def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> SearchRound:
+def search_round(base: TrialFit, excluded: Sequence[str], progress: Progress) -> SearchRound:
     """Screen all candidates on top of the declared model, fit the promising ones, keep the best of each effect.
 
-    taken : names of the effects that are no candidates; where there are any, nor are errors of the table
+    excluded : names of the effects that are no candidates; where there are any, nor are errors of the table
     """
     progress(0.0, "screening candidates")
-    tried = [*_candidates(base, taken), *(table_candidates(base) if not taken else [])]
+    tried = [*_candidates(base, excluded), *(table_candidates(base) if not excluded else [])]
     gains = predicted_gains(base, tried)
     by_history = history_starts(base, tried)
     gains += gains_from(base, by_history)

@@ -20,38 +20,38 @@ from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.model_error import ModelError
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
 
-RECORDS = 199
-"""Records that are made."""
 
-
-def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy, records: int = RECORDS) -> Adequacy:
+def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy, members: int = 1, *, made: int = 199) -> Adequacy:
     """The adequacy of a trial's model with its p-value from records made with it; as it is for an exact model.
 
-    adequacy : of the record itself, with its statistic;  records : number of those that are made
+    adequacy : of the record itself, with its statistic
+    members  : records that have the model in common;  made : records that are made for each of them
     """
-    part, size = trial.problem.record_fits[0], trial.size
-    if part.model_error is None or size is None:
+    record_fit, size, records = trial.record_fit, trial.size, made * members
+    if record_fit.model_error is None or size is None:
         return adequacy
     rng, probability = np.random.default_rng(20261128), size.posterior
     drawn = rng.choice(probability.size, size=records, p=probability.ravel())
-    places = zip(*np.unravel_index(drawn, probability.shape), strict=True)
-    errors = [part.model_error.of_size(float(size.sizes[k]), float(size.times_s[i])) for i, k in places]
-    count = part.error_responses_K[1].shape[1] + len(part.model_error.time_s)
+    indices = zip(*np.unravel_index(drawn, probability.shape), strict=True)
+    errors = [record_fit.model_error.of_size(float(size.sizes[k]), float(size.times_s[i])) for i, k in indices]
+    count = record_fit.error_responses_K[1].shape[1] + len(record_fit.model_error.time_s)
     u = rng.standard_normal((records, count))
-    fitted = _read(part, trial.problem.samples(trial.fit.values), errors, u, rng)
-    predicted, state = innovations_of_several(part, fitted)
+    fitted = _read(record_fit, trial.problem.samples(trial.fit.values), errors, u, rng)
+    predicted, state = innovations_of_several(record_fit, fitted)
     others: list[list[PredictedSamples]] = [[] for _ in errors]
     if trial.held_out is not None and trial.held_out_chi2 > 0.0:
         there = trial.held_out.record_fits[0]
         read = _read(there, trial.held_out.samples(trial.fit.values), errors, u, rng)
         others, _ = innovations_of_several(there, read, state)
-    statistics = [assess(one, held_out).statistic for one, held_out in zip(predicted, others, strict=True)]
-    larger = sum(found >= adequacy.statistic for found in statistics)
+    statistics = [
+        assess(fitted_samples, held_out).statistic for fitted_samples, held_out in zip(predicted, others, strict=True)
+    ]
+    larger = sum(statistic >= adequacy.statistic for statistic in statistics)
     return replace(adequacy, p_value=(larger + 1.0) / (records + 1.0))
 
 
 def _read(
-    part: RecordFit,
+    record_fit: RecordFit,
     samples: Sequence[PredictedSamples],
     errors: Sequence[ModelError],
     u: FloatArray,
@@ -61,13 +61,13 @@ def _read(
 
     u : (error, unknown) in standard deviations [-]
     """
-    S, F = part.error_responses_K
-    ends, several = np.cumsum([len(s.mean_K) for s in samples])[:-1], []
-    for error, own in zip(errors, u, strict=True):
-        moved = np.split(S @ error.heating(own) + F @ own[len(error.time_s) :], ends)
-        made = []
+    S, F = record_fit.error_responses_K
+    ends, readings = np.cumsum([len(s.mean_K) for s in samples])[:-1], []
+    for error, unknowns in zip(errors, u, strict=True):
+        moved = np.split(S @ error.heating(unknowns) + F @ unknowns[len(error.time_s) :], ends)
+        channels = []
         for s, d in zip(samples, moved, strict=True):
             read = s.mean_K + d + s.sigma_K * rng.standard_normal(len(s.mean_K))
-            made.append(replace(s, channel=replace(s.channel, intervals=reading_intervals(s.channel.sensor, read))))
-        several.append(made)
-    return several
+            channels.append(replace(s, channel=replace(s.channel, intervals=reading_intervals(s.channel.sensor, read))))
+        readings.append(channels)
+    return readings

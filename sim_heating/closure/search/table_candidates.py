@@ -24,11 +24,11 @@ def table_candidates(base: TrialFit, *, least_sigma: float = 1.0) -> list[Candid
 
     least_sigma : sigmas of the table by which an estimate has to be off for its prior to matter
     """
-    record, values = base.problem.record_fits[0].record, fitted_values(base)
-    known = {p.name: p for p in base.problem.parameters}
-    excluded = [n for n in undeclared_derivatives(record, default_names([record])) if n not in known]
+    record, values = base.record_fit.record, fitted_values(base)
+    fitted = {p.name: p for p in base.problem.parameters}
+    excluded = [n for n in undeclared_derivatives(record, default_names([record])) if n not in fitted]
     constant = constant_variables(excluded, [record])
-    off = [n for n, p in known.items() if is_of_table(p) and abs(values[n]) > least_sigma * p.sigma]
+    off = [n for n, p in fitted.items() if is_of_table(p) and abs(values[n]) > least_sigma * p.sigma]
     return [
         Candidate(TABLE, (), (n,), {n: values.get(n, 0.0)}, active=(n,), with_prior=(), priors={n: MODEL[n]})
         for n in (*(n for n in excluded if n not in constant), *off)

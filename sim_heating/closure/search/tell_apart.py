@@ -109,25 +109,25 @@ def tell_apart(
     least_log_odds : log odds by which an experiment has to exceed those of the same flight again
     """
     models = [best, *rivals[: EFFORT.rivals]]
-    part = none.last.problem.record_fits[0]
-    if len(models) < 2 or any(_changes_readings(h, part.record) for h in models):
+    record_fit = none.last.record_fit
+    if len(models) < 2 or any(_changes_readings(h, record_fit.record) for h in models):
         return []
-    flights = list(_flights(part.record, recorders=best.adequate))
+    flights = list(_flights(record_fit.record, recorders=best.adequate))
     predicted = _predict(none.last, models, flights)
     scale = max(1.0, 1.0 + best.excess_chi2)
     kinds: dict[str, Experiment] = {}
     for flight, of_models in zip(flights, predicted, strict=True):
-        known = [p for p in of_models if p is not None]
-        if len(known) < len(models):
+        marched = [p for p in of_models if p is not None]
+        if len(marched) < len(models):
             continue
         log_odds = min(
             _expected(truth, fitted, model, scale)
-            for other, rival in zip(known[1:], models[1:], strict=True)
-            for truth, fitted, model in ((known[0], other, rival), (other, known[0], models[0]))
+            for other, rival in zip(marched[1:], models[1:], strict=True)
+            for truth, fitted, model in ((marched[0], other, rival), (other, marched[0], models[0]))
         )
-        found = Experiment(flight.what, log_odds)
-        if flight.kind not in kinds or found.log_odds > kinds[flight.kind].log_odds:
-            kinds[flight.kind] = found
+        experiment = Experiment(flight.what, log_odds)
+        if flight.kind not in kinds or experiment.log_odds > kinds[flight.kind].log_odds:
+            kinds[flight.kind] = experiment
     again = kinds.pop(REPEATED, Experiment(REPEATED, 0.0))
     # What hardly does more than the same flight again is not worth its cost.
     better = [e for e in kinds.values() if e.log_odds > again.log_odds + least_log_odds]
@@ -156,11 +156,11 @@ def _flights(record: Record, *, recorders: bool) -> Iterator[_Flight]:
     yield _Flight(REPEATED if record.has_flow else REPEATED_TEST, REPEATED, record)
     if recorders:
         yield from _recorders(record)
-    for place, sensor in extra_sensors(record.declared.stack, record.used_sensors):
+    for position, sensor in extra_sensors(record.declared.stack, record.used_sensors):
         columns = {**record.thermocouples, sensor.column: record.thermocouples[record.used_sensors[0].column]}
         changed = replace(record.with_sensors([*record.sensors, sensor]), thermocouples=columns)
-        where = "at the bondline" if place == "bondline" else place
-        yield _Flight(f"a thermocouple {where}", place, changed)
+        where = "at the bondline" if position == "bondline" else position
+        yield _Flight(f"a thermocouple {where}", position, changed)
     yield from _manoeuvres(record)
 
 
@@ -193,7 +193,7 @@ def _manoeuvres(record: Record, *, begins: tuple[float, float, float] = (0.2, 0.
     begin, end = max(float(read[0]), flown.time_s[0]), min(float(read[-1]), flown.time_s[-1])
     if not record.has_flow or end - begin < 3.0 * LONGEST_S:
         return
-    starts = [begin + place * (end - begin) for place in begins]
+    starts = [begin + fraction * (end - begin) for fraction in begins]
     # One grid for all, so that all are marched side by side.
     fine = [t + s for t in starts for s in np.arange(0.0, LONGEST_S + 1.0)]
     flown = flown.at(np.union1d(flown.time_s, np.clip(fine, flown.time_s[0], flown.time_s[-1])))
@@ -226,8 +226,8 @@ def _within_table(record: Record, variable: str, values: FloatArray) -> FloatArr
 
 def _predict(base: TrialFit, models: Sequence[Hypothesis], flights: Sequence[_Flight]) -> list[list[_Predicted | None]]:
     """By flight and model, its predictions; None where it cannot be marched there."""
-    wanted = [[_marches(base, h, f.record) for h in models] for f in flights]
-    flat = [pair for row in wanted for marches in row for pair in marches]
+    needed = [[_marches(base, h, f.record) for h in models] for f in flights]
+    flat = [pair for row in needed for marches in row for pair in marches]
     done = JointMarch([p for p, _ in flat]).march([v for _, v in flat])
     marched = {id(p) for (p, _), succeeded in zip(flat, done, strict=True) if succeeded}
     return [
@@ -235,7 +235,7 @@ def _predict(base: TrialFit, models: Sequence[Hypothesis], flights: Sequence[_Fl
             _predicted(h, marches) if marches and all(id(p) in marched for p, _ in marches) else None
             for h, marches in zip(models, row, strict=True)
         ]
-        for row in wanted
+        for row in needed
     ]
 
 
@@ -270,29 +270,29 @@ def _changed(model: Hypothesis, record: Record, value: float) -> Record:
 
 def _problem(base: TrialFit, trial: TrialFit, record: Record) -> FitProblem:
     """The model of a trial over all samples of a record that are fitted or held out, with the noise of its own."""
-    part = trial.problem.record_fits[0]
+    fitted = trial.record_fit
     options = FitOptions(
         effects=fitted_effects(trial),
         priors=trial.problem.priors,
         sample_masks=[record.fit_mask() | record.holdout_mask()],
         **THINNED_STEPS,
     )
-    problem = FitProblem([record], part.names, base.problem.reference, options)
-    own = problem.record_fits[0]
-    for channel in own.channels:
+    problem = FitProblem([record], fitted.names, base.problem.reference, options)
+    record_fit = problem.record_fits[0]
+    for channel in record_fit.channels:
         if channel.sensor.noise_sigma_K is None:
-            own.sigma_K[channel.number] = part.sigma_K.get(channel.number, max(part.sigma_K.values()))
+            record_fit.sigma_K[channel.number] = fitted.sigma_K.get(channel.number, max(fitted.sigma_K.values()))
     return problem
 
 
 def _predicted(model: Hypothesis, marches: Sequence[tuple[FitProblem, FloatArray]]) -> _Predicted:
     """The predictions of a model whose marches are made."""
-    found = [sorted(p.samples(v), key=lambda s: s.channel.sensor.column) for p, v in marches]
-    mean = [np.concatenate([s.mean_K for s in samples]) for samples in found]
-    jacobian = np.concatenate([s.jacobian for s in found[0]])
+    by_march = [sorted(p.samples(v), key=lambda s: s.channel.sensor.column) for p, v in marches]
+    mean = [np.concatenate([s.mean_K for s in samples]) for samples in by_march]
+    jacobian = np.concatenate([s.jacobian for s in by_march[0]])
     if len(mean) == 2:
         jacobian = np.column_stack([jacobian, (mean[1] - mean[0]) / _step(model)])
-    weight = [np.full(len(s.mean_K), s.channel.sensor.noise_floor_K(s.sigma_K) ** -2.0) for s in found[0]]
+    weight = [np.full(len(s.mean_K), s.channel.sensor.noise_floor_K(s.sigma_K) ** -2.0) for s in by_march[0]]
     return _Predicted(mean[0], jacobian, np.concatenate(weight))
 
 
@@ -306,8 +306,8 @@ def _expected(truth: _Predicted, fitted: _Predicted, model: Hypothesis, scale: f
     fit = _fit_of(model)
     free = ~fit.on_bound
     J, w, d = fitted.jacobian[:, free], truth.weight / scale, truth.mean_K - fitted.mean_K
-    known = fit.information[np.ix_(free, free)] / scale + np.diag(fit.prior_information[free])
-    A, b = (J * w[:, np.newaxis]).T @ J + known, J.T @ (w * d)
+    information = fit.information[np.ix_(free, free)] / scale + np.diag(fit.prior_information[free])
+    A, b = (J * w[:, np.newaxis]).T @ J + information, J.T @ (w * d)
     s = 1.0 / np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
     adjusted = s * (np.linalg.pinv(A * np.outer(s, s), rcond=1e-12, hermitian=True) @ (s * b))
     return max(0.5 * float(d @ (w * d)) - 0.5 * float(b @ adjusted), 0.0)

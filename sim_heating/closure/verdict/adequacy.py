@@ -86,12 +86,12 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
 
     fitted   : channels at the values found;  held_out : channels of the segments held out, at the same values
     """
-    own = {s.channel.sensor.name: _scores(s) for s in fitted}
-    everything = _joined(list(own.values()))
+    by_sensor = {s.channel.sensor.name: _scores(s) for s in fitted}
+    everything = _joined(list(by_sensor.values()))
     lag1, sign_changes = _neighbours(fitted)
     rho = min(max(lag1, 0.0), POLICY.max_lag1)
     parts = _parts(everything)
-    chi2 = {"": everything, **{f"sensor {n}": s for n, s in own.items()}, **parts}
+    chi2 = {"": everything, **{f"sensor {n}": s for n, s in by_sensor.items()}, **parts}
     if held_out:
         chi2["held out"] = _joined([_scores(s) for s in held_out])
     scatter = 1.0 / math.sqrt(max(len(everything.time_s), 1))
@@ -109,38 +109,64 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
         chi2_holdout=chi2["held out"].chi2() if held_out else None,
         lag1=lag1,
         sign_changes=sign_changes,
-        by_sensor={n: s.chi2() for n, s in own.items()},
+        by_sensor={n: s.chi2() for n, s in by_sensor.items()},
         by_phase={n: s.chi2() for n, s in parts.items()},
         statistic=statistic,
         unstructured=lag1 <= POLICY.noise_colour + scatter and all(_is_even(s, everything) for s in chi2.values()),
     )
 
 
-def p_value(statistic: float, known: FloatArray | None = None) -> float:
+def pooled(by_record: Mapping[str, Adequacy], counts: Sequence[int]) -> Adequacy:
+    """Whether one model explains several records: chi-squares pooled, the p-value that of the worst record.
+
+    by_record : name of a record -> adequacy of the model there;  counts : (record,) numbers of fitted samples
+
+    The smallest of n independent p-values is below p with the probability 1 - (1 - p)^n (Sidak 1967).
+    """
+    adequacies = list(by_record.values())
+
+    def mean(values: Sequence[float]) -> float:
+        return float(np.average(values, weights=np.array(counts, dtype=float)))
+
+    held_out = [a.chi2_holdout for a in adequacies if a.chi2_holdout is not None]
+    return Adequacy(
+        p_value=-math.expm1(len(adequacies) * math.log1p(-min(a.p_value for a in adequacies))),
+        chi2_fit=mean([a.chi2_fit for a in adequacies]),
+        chi2_holdout=float(np.mean(held_out)) if held_out else None,
+        lag1=mean([a.lag1 for a in adequacies]),
+        sign_changes=mean([a.sign_changes for a in adequacies]),
+        by_sensor={f"{n}, {k}": v for n, a in by_record.items() for k, v in a.by_sensor.items()},
+        by_phase={f"{n}, {k}": v for n, a in by_record.items() for k, v in a.by_phase.items()},
+        statistic=max(a.statistic for a in adequacies),
+        unstructured=all(a.unstructured for a in adequacies),
+    )
+
+
+def p_value(statistic: float, statistics: FloatArray | None = None) -> float:
     """Share of records of known truth whose statistic is larger, (k + 1) / (n + 1) of n, linear between them.
 
-    known : (record,) their statistics, ascending; by default those of the calibration
+    statistics : (record,) their statistics, ascending; by default those of the calibration
 
     Beyond the largest it falls exponentially, at the mean rate of the largest tenth of them.
     """
-    known = true_statistics() if known is None else known
-    largest = known[-1]
+    statistics = true_statistics() if statistics is None else statistics
+    largest = statistics[-1]
     if statistic <= largest:
-        larger = float(np.interp(statistic, known, np.arange(len(known) - 1.0, -1.0, -1.0)))
-        return (larger + 1.0) / (len(known) + 1.0)
-    tail = known[-max(len(known) // 10, 2) :]
-    return math.exp(-(statistic - largest) / float(np.mean(tail - tail[0]))) / (len(known) + 1.0)
+        larger = float(np.interp(statistic, statistics, np.arange(len(statistics) - 1.0, -1.0, -1.0)))
+        return (larger + 1.0) / (len(statistics) + 1.0)
+    tail = statistics[-max(len(statistics) // 10, 2) :]
+    return math.exp(-(statistic - largest) / float(np.mean(tail - tail[0]))) / (len(statistics) + 1.0)
 
 
 def _scores(samples: PredictedSamples) -> _Scores:
-    found = likelihood(samples.channel.intervals, samples.mean_K, samples.spread_K)
-    return _Scores(np.asarray(samples.time_s), found.score**2, found.information)
+    scored = likelihood(samples.channel.intervals, samples.mean_K, samples.spread_K)
+    return _Scores(np.asarray(samples.time_s), scored.score**2, scored.information)
 
 
-def _joined(several: Sequence[_Scores]) -> _Scores:
-    time_s = np.concatenate([s.time_s for s in several])
+def _joined(scores: Sequence[_Scores]) -> _Scores:
+    time_s = np.concatenate([s.time_s for s in scores])
     order = np.argsort(time_s, kind="stable")
-    square, information = (np.concatenate([getattr(s, f) for s in several]) for f in ("square", "information"))
+    square, information = (np.concatenate([getattr(s, f) for s in scores]) for f in ("square", "information"))
     return _Scores(time_s[order], square[order], information[order])
 
 
@@ -149,12 +175,12 @@ def _parts(everything: _Scores, *, part_count: int = 8) -> dict[str, _Scores]:
 
     part_count : consecutive parts of a record that are judged by themselves
     """
-    found = {}
+    phases = {}
     for index in np.array_split(np.arange(len(everything.time_s)), part_count):
         if len(index) >= FEWEST:
-            part = everything.select(index)
-            found[f"{part.time_s[0]:.0f} to {part.time_s[-1]:.0f} s"] = part
-    return found
+            phase = everything.select(index)
+            phases[f"{phase.time_s[0]:.0f} to {phase.time_s[-1]:.0f} s"] = phase
+    return phases
 
 
 def _excess(scores: _Scores, rho: float) -> float:
@@ -164,10 +190,10 @@ def _excess(scores: _Scores, rho: float) -> float:
     return (scores.chi2() - 1.0) / (POLICY.model_error_chi2 + scatter)
 
 
-def _is_even(part: _Scores, everything: _Scores) -> bool:
+def _is_even(scores: _Scores, everything: _Scores) -> bool:
     """Whether the chi-square of a part is not far above that of the whole record."""
-    n = len(part.time_s)
-    return n < FEWEST or part.chi2() <= everything.chi2() * (1.0 + POLICY.uneven_chi2 + 3.0 * math.sqrt(2.0 / n))
+    n = len(scores.time_s)
+    return n < FEWEST or scores.chi2() <= everything.chi2() * (1.0 + POLICY.uneven_chi2 + 3.0 * math.sqrt(2.0 / n))
 
 
 def _neighbours(everything: Sequence[PredictedSamples]) -> tuple[float, float]:

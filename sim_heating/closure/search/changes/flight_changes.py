@@ -123,9 +123,9 @@ def _across(spans: Sequence[Discrepancy]) -> list[Span]:
     return [(a.begin_s, b.end_s) for a, b in pairs]
 
 
-def _parts(whole: Span, count: int) -> list[Span]:
+def _parts(span: Span, count: int) -> list[Span]:
     """Spans of one, two and four parts of a range that is divided into `count`, each beginning at every part."""
-    at = np.linspace(*whole, count + 1)
+    at = np.linspace(*span, count + 1)
     return [(float(at[i]), float(at[i + k])) for k in (1, 2, 4) for i in range(0, count + 1 - k)]
 
 
@@ -167,8 +167,8 @@ def _shape_error_K(
         return float("nan")
     squares, count = 0.0, 0
     for measured, predicted in zip(read, indicated, strict=True):
-        known = inside & np.isfinite(measured)
-        x, y = np.interp(at[known], flown_s, predicted), measured[known]
+        compared = inside & np.isfinite(measured)
+        x, y = np.interp(at[compared], flown_s, predicted), measured[compared]
         if len(y) < 10 or np.ptp(x) == 0.0:
             continue
         # The shape alone, free in level and scale: a wrong table must not be mistaken for another flight.
@@ -183,8 +183,8 @@ def time_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
     def describe(value: float) -> str:
         return f"flight conditions {abs(value):.3g} s too {'early' if value > 0.0 else 'late'}"
 
-    what = "time of the flight conditions"
-    return RecordChange("flight", what, SHIFT, shift_conditions, describe, tuple(starts), effect="time-skew")
+    text = "time of the flight conditions"
+    return RecordChange("flight", text, SHIFT, shift_conditions, describe, tuple(starts), effect="time-skew")
 
 
 def trajectory_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
@@ -198,40 +198,38 @@ def trajectory_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
             f"velocity, altitude and air {abs(value):.3g} s too {'early' if value > 0.0 else 'late'} against the angles"
         )
 
-    what = "time of velocity, altitude and air against the angles"
-    return RecordChange("flight", what, SHIFT, shift_trajectory, describe, tuple(starts))
+    text = "time of velocity, altitude and air against the angles"
+    return RecordChange("flight", text, SHIFT, shift_trajectory, describe, tuple(starts))
 
 
 def density_scale() -> RecordChange:
     """The density was another by a factor, along the whole flight."""
-    what = "density of the flight conditions"
-    return RecordChange("flight", what, DENSITY, lambda r, f: with_density(r, f), _scaled(what))
+    text = "density of the flight conditions"
+    return RecordChange("flight", text, DENSITY, lambda r, f: with_density(r, f), _scaled(text))
 
 
-def density_layer(low_m: float, high_m: float, within: Span = EVERYWHERE, *, edge_m: float = 1.0) -> RecordChange:
-    """The density was another by a factor between two altitudes [m]; within : altitudes that these may be moved in.
+def density_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, edge_m: float = 1.0) -> RecordChange:
+    """The density was another by a factor between two altitudes [m].
 
-    edge_m : thickness of the edges of a sharp layer [m]
+    limits : altitudes that these may be moved in [m];  edge_m : thickness of the edges of a sharp layer [m]
     """
-    edge = edge_m
-    shape = ([low_m - edge, low_m, high_m, high_m + edge], [0.0, 1.0, 1.0, 0.0])
-    return _layer("density between", "", density_layer, (low_m, high_m), shape, within)
+    shape = ([low_m - edge_m, low_m, high_m, high_m + edge_m], [0.0, 1.0, 1.0, 0.0])
+    return _layer("density between", "", density_layer, (low_m, high_m), shape, limits)
 
 
-def smooth_layer(low_m: float, high_m: float, within: Span = EVERYWHERE, *, points: int = 33) -> RecordChange:
-    """The density was another by a factor that rises and falls between two altitudes [m], as 1 - cos; within : as
-    above.
+def smooth_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, points: int = 33) -> RecordChange:
+    """The density was another by a factor that rises and falls between two altitudes [m], as 1 - cos.
 
-    points : altitudes that a smooth layer is interpolated between
+    limits : altitudes that these may be moved in [m];  points : altitudes that the layer is interpolated between
     """
     at = np.linspace(0.0, 1.0, points)
     shape = ((low_m + (high_m - low_m) * at).tolist(), (0.5 - 0.5 * np.cos(2.0 * np.pi * at)).tolist())
-    return _layer("density of a smooth layer between", ", at most", smooth_layer, (low_m, high_m), shape, within)
+    return _layer("density of a smooth layer between", ", at most", smooth_layer, (low_m, high_m), shape, limits)
 
 
 def _layer(
     name: str, where: str, form: Callable[[float, float, Span], RecordChange], span: Span,
-    shape: tuple[list[float], list[float]], within: Span,
+    shape: tuple[list[float], list[float]], limits: Span,
 ) -> RecordChange:  # fmt: skip
     """A factor of the density between two altitudes; shape : altitudes [m], and the part of the factor that holds."""
 
@@ -239,37 +237,37 @@ def _layer(
         return with_density(record, 1.0 + (factor - 1.0) * np.interp(record.conditions["altitude_m"], *shape))
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
-        return tuple(form(*ends, within) for ends in moved_ends(span, fraction, THINNEST_M, within))
+        return tuple(form(*ends, limits) for ends in moved_ends(span, fraction, THINNEST_M, limits))
 
-    what = f"{name} {span[0] / 1e3:.1f} and {span[1] / 1e3:.1f} km"
-    return RecordChange("flight", what, DENSITY, apply, _scaled(what, where), form=name, near=near)
+    text = f"{name} {span[0] / 1e3:.1f} and {span[1] / 1e3:.1f} km"
+    return RecordChange("flight", text, DENSITY, apply, _scaled(text, where), form=name, near=near)
 
 
 def velocity_scale() -> RecordChange:
     """The velocity was another by a factor, along the whole flight."""
-    what = "velocity of the flight conditions"
-    return RecordChange("flight", what, VELOCITY, lambda r, f: with_velocity(r, f), _scaled(what))
+    text = "velocity of the flight conditions"
+    return RecordChange("flight", text, VELOCITY, lambda r, f: with_velocity(r, f), _scaled(text))
 
 
-def velocity_drift(begin_s: float, end_s: float, within: Span = EVERYWHERE) -> RecordChange:
+def velocity_drift(begin_s: float, end_s: float, limits: Span = EVERYWHERE) -> RecordChange:
     """The velocity drifts away between two times [s], and keeps the factor that it has at the second."""
     shape = ([begin_s, end_s], [0.0, 1.0])
-    return _drift("drift of the velocity", ", at its end", velocity_drift, shape, within)
+    return _drift("drift of the velocity", ", at its end", velocity_drift, shape, limits)
 
 
-def velocity_excursion(begin_s: float, end_s: float, within: Span = EVERYWHERE) -> RecordChange:
+def velocity_excursion(begin_s: float, end_s: float, limits: Span = EVERYWHERE) -> RecordChange:
     """The velocity drifts away between two times [s] and returns as evenly: an error that was corrected."""
     shape = ([begin_s, 0.5 * (begin_s + end_s), end_s], [0.0, 1.0, 0.0])
-    return _drift("excursion of the velocity", ", at its largest", velocity_excursion, shape, within)
+    return _drift("excursion of the velocity", ", at its largest", velocity_excursion, shape, limits)
 
 
 def _drift(
     name: str, where: str, form: Callable[[float, float, Span], RecordChange],
-    shape: tuple[list[float], list[float]], within: Span,
+    shape: tuple[list[float], list[float]], limits: Span,
 ) -> RecordChange:  # fmt: skip
     """A factor of the velocity that changes along a span.
 
-    shape : times [s], and the part of the factor that holds then;  within : times that the ends may be moved in
+    shape : times [s], and the part of the factor that holds then;  limits : times that the ends may be moved in
     """
     begin_s, end_s = shape[0][0], shape[0][-1]
 
@@ -277,10 +275,10 @@ def _drift(
         return with_velocity(record, 1.0 + (factor - 1.0) * np.interp(record.conditions.time_s, *shape))
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
-        return tuple(form(*ends, within) for ends in moved_ends((begin_s, end_s), fraction, BRIEFEST_S, within))
+        return tuple(form(*ends, limits) for ends in moved_ends((begin_s, end_s), fraction, BRIEFEST_S, limits))
 
-    what = f"{name} from {begin_s:.0f} to {end_s:.0f} s"
-    return RecordChange("flight", what, VELOCITY, apply, _scaled(what, where), form=name, near=near)
+    text = f"{name} from {begin_s:.0f} to {end_s:.0f} s"
+    return RecordChange("flight", text, VELOCITY, apply, _scaled(text, where), form=name, near=near)
 
 
 def alpha_bias() -> RecordChange:
@@ -301,15 +299,15 @@ def alpha_smoothed(starts_s: tuple[float, float] = (5.0, 12.0)) -> RecordChange:
     def describe(width_s: float) -> str:
         return f"angle of attack stated as a mean over {width_s:.2g} s (standard deviation)"
 
-    what = "smoothing of the angle of attack"
-    return RecordChange("flight", what, SMOOTHED, with_sharper_alpha, describe, starts_s)
+    text = "smoothing of the angle of attack"
+    return RecordChange("flight", text, SMOOTHED, with_sharper_alpha, describe, starts_s)
 
 
-def _scaled(what: str, more: str = "") -> Callable[[float], str]:
+def _scaled(quantity: str, suffix: str = "") -> Callable[[float], str]:
     """Words for a factor of true over stated values."""
 
     def describe(factor: float) -> str:
-        return f"{what} {100.0 * abs(1.0 / factor - 1.0):.2g} % too {'low' if factor > 1.0 else 'high'}{more}"
+        return f"{quantity} {100.0 * abs(1.0 / factor - 1.0):.2g} % too {'low' if factor > 1.0 else 'high'}{suffix}"
 
     return describe
 

@@ -30,9 +30,6 @@ from sim_heating.march.point import insulation_layer
 from sim_heating.thermal.mesh import DIFFUSIVITY_AT_K, DIFFUSIVITY_AT_PA
 from sim_heating.thermal.stack import Material, PressureTable, pairs
 
-LEAST_FACTOR = 0.05
-"""Least factor on a property, over f [-]: it limits the change d, which is 3 at most, of either sign."""
-
 
 @dataclass(frozen=True)
 class Axis:
@@ -41,6 +38,7 @@ class Axis:
     name   : in words;  suffix, unit : of the names of the ends in a report
     spans  : from which the search for the ends starts;  within : limits of the ends;  shortest : span
     zero   : where the factor is f, at which meshes are graded: they stay as they are
+    least_factor : on a property, over f [-]: it limits the change d, which is 3 at most, of either sign
     """
 
     name: str
@@ -50,6 +48,7 @@ class Axis:
     within: Span
     shortest: float
     zero: float
+    least_factor: float = 0.05
 
     def shape(self, x: ArrayLike, span: Span) -> FloatArray:
         """S - S(zero) at places on the axis [-]."""
@@ -57,8 +56,8 @@ class Axis:
         return np.asarray(s * s * (3.0 - 2.0 * s) - zero * zero * (3.0 - 2.0 * zero))
 
     def limits(self, span: Span) -> tuple[float, float]:
-        """Bounds of the change d, within which the factor is LEAST_FACTOR or more at any place [-]."""
-        room = 1.0 - LEAST_FACTOR
+        """Bounds of the change d, within which the factor is `least_factor` or more at any place [-]."""
+        room = 1.0 - self.least_factor
         below, above = np.maximum(np.abs(self.shape(span, span)), room / 3.0)
         return float(-room / above), float(room / below)
 
@@ -87,31 +86,36 @@ def shape_changes(record: Record) -> list[RecordChange]:
     """Shapes of the errors of the insulation's tables: conductivity and heat capacity in temperature, and conductivity
     in pressure, where its table has pressures and the flight passes through half a decade of them."""
     material = record.construction.layer_materials()[insulation_layer(record.construction)]
-    found = [_shape(record, e, TEMPERATURE, s) for e in (CONDUCTIVITY, HEAT_CAPACITY) for s in TEMPERATURE.spans]
+    shapes = [_shape(record, e, TEMPERATURE, s) for e in (CONDUCTIVITY, HEAT_CAPACITY) for s in TEMPERATURE.spans]
     if isinstance(material.conductivity_W_mK, PressureTable):
         p_Pa = np.maximum(conditions_of_record(record)["p_surface_Pa"], 1.0)
         if np.log10(np.max(p_Pa) / np.min(p_Pa)) > LEAST_DECADES:
-            found += [_shape(record, CONDUCTIVITY, PRESSURE, s) for s in PRESSURE.spans]
-    return found
+            shapes += [_shape(record, CONDUCTIVITY, PRESSURE, s) for s in PRESSURE.spans]
+    return shapes
 
 
 def _shape(record: Record, effect: str, axis: Axis, span: Span) -> RecordChange:
     """The shape of one property with one span."""
-    own = effect.replace("-", "_")
-    factor = point_of_record(record).definition(f"stack.rsi.{own}_factor")
-    name, sigma = f"{own}_change", float(np.sqrt(2.0)) * factor.sigma  # two factors that scatter independently
+    property_name = effect.replace("-", "_")
+    factor = point_of_record(record).definition(f"stack.rsi.{property_name}_factor")
+    name, sigma = (
+        f"{property_name}_change",
+        float(np.sqrt(2.0)) * factor.sigma,
+    )  # two factors that scatter independently
     parameter = Parameter(name, "1", 0.0, sigma, *axis.limits(span), f"change of the factor with {axis.name}")
-    what = f"{effect.replace('-', ' ')} of the insulation changes with {axis.name}"
+    text = f"{effect.replace('-', ' ')} of the insulation changes with {axis.name}"
     ends = f"between {span[0]:.3g} and {span[1]:.3g} {axis.suffix.replace('_', ' ')}"
 
     def near(fraction: float) -> Sequence[RecordChange]:
         return [_shape(record, effect, axis, s) for s in moved_ends(span, fraction, axis.shortest, axis.within)]
 
     return RecordChange(
-        "wall", what, parameter, partial(with_shape, effect=effect, axis=axis, span=span),
-        lambda change: f"{what} {ends} by {100.0 * change:+.0f} % of the declared one", effect=effect, form=what,
+        "wall", text, parameter, partial(with_shape, effect=effect, axis=axis, span=span),
+        lambda change: f"{text} {ends} by {100.0 * change:+.0f} % of the declared one", effect=effect, form=text,
         near=near, free=(factor.name,),
-        ends={f"{own}_{end}_{axis.suffix}": (x, axis.unit) for end, x in zip(("from", "to"), span, strict=True)},
+        ends={
+            f"{property_name}_{end}_{axis.suffix}": (x, axis.unit) for end, x in zip(("from", "to"), span, strict=True)
+        },
     )  # fmt: skip
 
 
@@ -121,7 +125,7 @@ def with_shape(record: Record, change: float, *, effect: str, axis: Axis, span: 
     layer, name = stack.layer[number], stack.layer_names[number]
 
     def factor(x: FloatArray) -> FloatArray:
-        return np.maximum(1.0 + change * axis.shape(x, span), LEAST_FACTOR)
+        return np.maximum(1.0 + change * axis.shape(x, span), axis.least_factor)
 
     material = record.declared.materials[layer.material]
     if effect == HEAT_CAPACITY:
@@ -134,10 +138,10 @@ def with_shape(record: Record, change: float, *, effect: str, axis: Axis, span: 
         k = k * (factor(np.log10(p_Pa)) if axis is PRESSURE else factor(T_K)[:, np.newaxis])
         changed = material.model_copy(update={"conductivity_W_mK": _conductivity_table(material, p_Pa, T_K, k)})
     # a material of its own: another layer of the same one stays as it is
-    own = f"{layer.material}, {name}"
+    changed_name = f"{layer.material}, {name}"
     layers = [*stack.layer]
-    layers[number] = layer.model_copy(update={"material": own, "name": name})
-    return with_layers(record, layers, {**record.declared.materials, own: changed})
+    layers[number] = layer.model_copy(update={"material": changed_name, "name": name})
+    return with_layers(record, layers, {**record.declared.materials, changed_name: changed})
 
 
 def _conductivity_over(

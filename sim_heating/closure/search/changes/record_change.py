@@ -20,12 +20,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
 from sim_heating.closure.search.trials.candidates import NO_EFFECT
 from sim_heating.closure.search.trials.change import RecordChange
-from sim_heating.closure.search.trials.screening import STEPS_AHEAD, gain_of_step, gains_over
+from sim_heating.closure.search.trials.screening import Stage, fit_staged, gain_of_step, gains_ahead, gains_over
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     WIDENED,
@@ -46,8 +46,6 @@ from sim_heating.estimation.record_fit import FittedChannel, RecordFit
 from sim_heating.estimation.side_by_side import JointMarch, iterate_together, maximise_together
 from sim_heating.inputs.record import Record
 
-NEARLY = 0.95
-"""Part of the best gain from which on the ends of a change are searched further, each time with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
 CANNOT_BE = (InputError, RunError)
@@ -76,16 +74,16 @@ class _ChangedModel:
 
     def start(self, value: float, *, declared: bool = False) -> FloatArray:
         """Vector of the base's estimates, or of its declared values, and a value of the change."""
-        own = np.array([p.value for p in self.base.problem.parameters]) if declared else self.base.fit.values
-        return own if self.change.parameter is None else np.append(own, value)
+        first = np.array([p.value for p in self.base.problem.parameters]) if declared else self.base.fit.values
+        return first if self.change.parameter is None else np.append(first, value)
 
     def problem(self, value: float) -> FitProblem:
         """The base's problem on the record changed by a value."""
         if self.change.parameter is not None and value == self.change.neutral:
             return self.base.problem
         if value not in self._problems:
-            part = self.base.problem.record_fits[0]
-            problem = problem_over(self.base, part, self.change.apply(part.record, value), part.names)
+            record_fit = self.base.record_fit
+            problem = problem_over(self.base, record_fit, self.change.apply(record_fit.record, value), record_fit.names)
             problem.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[0]
             self._problems[value] = problem
         return self._problems[value]
@@ -100,15 +98,17 @@ class _ChangedModel:
         if self.change.parameter is None:
             return [(self.problem(value), values)]
         self._problems = {v: p for v, p in self._problems.items() if v == value}
-        whole = self.problem(value)
-        part = whole.record_fits[0]
-        changed = self.change.apply(self.base.problem.record_fits[0].record, self._stepped(value))
+        problem = self.problem(value)
+        record_fit = problem.record_fits[0]
+        changed = self.change.apply(self.base.record_fit.record, self._stepped(value))
         # its temperatures alone are needed: the march has no sensitivities
-        self._moved = problem_over(self.base, part, changed, part.sensor_names)
+        self._moved = problem_over(self.base, record_fit, changed, record_fit.sensor_names)
         moved = self._moved.record_fits[0]
         # of the changed wall, at the same parameters
-        moved.model = moved.model.with_parameters(dict(zip(part.march_names, values[part.index], strict=False)))
-        return [(whole, values), (self._moved, values[len(part.march_names) :])]
+        moved.model = moved.model.with_parameters(
+            dict(zip(record_fit.march_names, values[record_fit.index], strict=False))
+        )
+        return [(problem, values), (self._moved, values[len(record_fit.march_names) :])]
 
     def _stepped(self, value: float) -> float:
         """A value one step away, within the bounds."""
@@ -122,15 +122,15 @@ class _ChangedModel:
         stepped, moved = self._stepped(value), samples
         if self.change.parameter is not None:
             moved = self._moved.samples(values[len(samples[0].record_fit.march_names) :])
-        part, by_channel = self.problem(value).record_fits[0], []
+        record_fit, by_channel = self.problem(value).record_fits[0], []
         for s, t in zip(samples, moved, strict=True):
-            own = np.zeros((len(s.mean_K), m))
-            own[:, s.record_fit.index] = s.sensitivity
+            jacobian = np.zeros((len(s.mean_K), m))
+            jacobian[:, s.record_fit.index] = s.sensitivity
             if self.change.parameter is not None:
-                own[:, -1] = _moved_K(s.mean_K, s.channel, t.mean_K, t.channel) / (stepped - value)
-            by_channel.append(own)
-        sensitivity, scored = np.concatenate(by_channel), scored_readings(part, [s.mean_K for s in samples])
-        total = part.known_log_likelihood + scored.log_likelihood
+                jacobian[:, -1] = _moved_K(s.mean_K, s.channel, t.mean_K, t.channel) / (stepped - value)
+            by_channel.append(jacobian)
+        sensitivity, scored = np.concatenate(by_channel), scored_readings(record_fit, [s.mean_K for s in samples])
+        total = record_fit.known_log_likelihood + scored.log_likelihood
         return Evaluation(total, scored.score @ sensitivity, scored.information(sensitivity))
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
@@ -161,8 +161,8 @@ class _ChangedModel:
         """The changed record's samples held out; None where there are none."""
         if self.base.held_out is None:
             return None
-        part = self.base.held_out.record_fits[0]
-        return problem_over(self.base, part, changed(part.record), names or part.names, held_out=True)
+        record_fit = self.base.held_out.record_fits[0]
+        return problem_over(self.base, record_fit, changed(record_fit.record), names or record_fit.names, held_out=True)
 
 
 class _EstimatedModel(_ChangedModel):
@@ -172,10 +172,10 @@ class _EstimatedModel(_ChangedModel):
 
     def __init__(self, base: TrialFit, change: RecordChange) -> None:
         super().__init__(base, change)
-        part = base.problem.record_fits[0]
+        record_fit = base.record_fit
         # a parameter of the march is the last of these; those of clock and sensors follow
-        self._names = (*part.names, self.parameters[-1].name)
-        self._problem = problem_over(base, part, part.record, self._names)
+        self._names = (*record_fit.names, self.parameters[-1].name)
+        self._problem = problem_over(base, record_fit, record_fit.record, self._names)
         self._order = np.array([self._names.index(n) for n in self._problem.record_fits[0].names])
         self._place = np.argsort(self._order)
 
@@ -206,18 +206,25 @@ class _EstimatedModel(_ChangedModel):
 
 def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
     """A trial with more parameters of its model free, at their nominal values; itself where they are free already."""
-    own = base.problem.record_fits[0].names
-    if all(name in own for name in names):
+    fitted = base.record_fit.names
+    if all(name in fitted for name in names):
         return base
 
-    def freed(problem: FitProblem) -> FitProblem:
-        part, held_out = problem.record_fits[0], problem is base.held_out
-        return problem_over(base, part, part.record, (*own, *names), held_out=held_out)
+    freed = changed_trial(base, lambda record: record, (*fitted, *names))
+    parameters = freed.problem.parameters
+    values = start_values(freed.problem, fitted_values(base))
+    return replace(freed, fit=replace(base.fit, names=tuple(p.name for p in parameters), values=values))
 
-    problem = freed(base.problem)
-    values = start_values(problem, fitted_values(base))
-    fit = replace(base.fit, names=tuple(p.name for p in problem.parameters), values=values)
-    return replace(base, problem=problem, held_out=base.held_out and freed(base.held_out), fit=fit)
+
+def changed_trial(base: TrialFit, changed: Callable[[Record], Record], names: Sequence[str] | None = None) -> TrialFit:
+    """A trial over another record, or with other unknowns by their dotted names, with the fit that it had."""
+
+    def over(problem: FitProblem) -> FitProblem:
+        record_fit, held_out = problem.record_fits[0], problem is base.held_out
+        record = changed(record_fit.record)
+        return problem_over(base, record_fit, record, names or record_fit.names, held_out=held_out)
+
+    return replace(base, problem=over(base.problem), held_out=base.held_out and over(base.held_out))
 
 
 def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
@@ -227,14 +234,14 @@ def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
 
 
 def problem_over(
-    base: TrialFit, part: RecordFit, record: Record, names: Sequence[str], *, held_out: bool = False
+    base: TrialFit, record_fit: RecordFit, record: Record, names: Sequence[str], *, held_out: bool = False
 ) -> FitProblem:
     """The base's problem over another record.
 
-    part : of the base's, with noise and mesh correction;  names : of the unknowns
+    record_fit : of the base's, with noise and mesh correction;  names : of the unknowns
     """
-    more = {"sample_masks": [record.holdout_mask()]} if held_out else {}
-    return candidate_problem(base, replace(part, record=record), NO_EFFECT, names, prior_scale=WIDENED, **more)
+    samples = {"sample_masks": [record.holdout_mask()]} if held_out else {}
+    return candidate_problem(base, replace(record_fit, record=record), NO_EFFECT, names, prior_scale=WIDENED, **samples)
 
 
 def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, moved: FittedChannel) -> FloatArray:
@@ -277,9 +284,9 @@ def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -
     minus infinity where a march failed."""
 
     def of_share(chosen: Sequence[int]) -> list[tuple[float, float]]:
-        own, starts = [models[k] for k in chosen], [vectors[k] for k in chosen]
+        shared, starts = [models[k] for k in chosen], [vectors[k] for k in chosen]
         gains = []
-        for model, at, here in zip(own, starts, _evaluate_together(own, starts), strict=True):
+        for model, at, here in zip(shared, starts, _evaluate_together(shared, starts), strict=True):
             reached = here.log_likelihood
             step = gain_of_step(model.parameters, at, here)
             gains.append((reached + step, reached) if np.isfinite(reached) else (-np.inf, -np.inf))
@@ -288,21 +295,14 @@ def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -
     return in_shares(of_share, len(models))
 
 
-def predicted_change_gains(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[float, float]]:
-    """Gain in log likelihood that one Gauss-Newton step predicts for each change, and the value it starts from.
-
-    base    : the model that the changes are tried with
-    returns : by change, gain [-] and start: the best of the neutral value and its starts; minus infinity where the
-              changed record cannot be marched
-    """
-    return [(gain, model.split(vector)[1]) for gain, model, vector in _best_starts(base, changes)]
-
-
-def _best_starts(
+def best_starts(
     base: TrialFit, changes: Sequence[RecordChange], *, gross_excess: float = 10.0
 ) -> list[tuple[float, _ChangedModel, FloatArray]]:
-    """Predicted gain, model and vector to start from of each change.
+    """Gain in log likelihood that one Gauss-Newton step predicts for each change, its model, and where that starts.
 
+    base    : the model that the changes are tried with
+    returns : by change, gain [-], model and vector, of the best of the neutral value and its starts; a gain of minus
+              infinity where the changed record cannot be marched
     gross_excess : excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
     """
     starts = [(k, v) for k, c in enumerate(changes) for v in dict.fromkeys((c.neutral, *c.starts))]
@@ -316,9 +316,9 @@ def _best_starts(
         i for i, m in enumerate(models) if base.excess_chi2 > gross_excess and m.change.kind == "sensor" and not m.exact
     ]
     others = [models[i].start(starts[i][1], declared=True) for i in gross]
-    for i, vector, own in zip(gross, others, _predicted([models[i] for i in gross], others), strict=True):
-        if own[1] > predicted[i][1]:
-            vectors[i], predicted[i] = vector, own
+    for i, vector, reached in zip(gross, others, _predicted([models[i] for i in gross], others), strict=True):
+        if reached[1] > predicted[i][1]:
+            vectors[i], predicted[i] = vector, reached
     best: dict[int, int] = {}
     for i, (k, _) in enumerate(starts):
         if k not in best or predicted[i][0] > predicted[best[k]][0]:
@@ -334,6 +334,7 @@ def fit_changes(
     share: float = POLICY.min_promised,
     near_share: float = POLICY.min_promised,
     most: int | None = None,
+    nearly: float = 0.95,
 ) -> list[TrialFit]:
     """Fit a model to its record with each change that promises enough, all side by side.
 
@@ -343,23 +344,24 @@ def fit_changes(
                 that predicts less than its unknowns cost
     near_share: the same for a change with ends, which gains more where they are moved
     most      : how many without ends are fitted, those that predict most; all by default
+    nearly    : part of the best gain from which on the ends of a change are searched further, each time with a fit
     returns   : fits, the lowest BIC first, one of each form; changes that cannot be marched are left out
     raises    : InputError where a change has a parameter without a finite standard deviation
     """
 
-    def asked(change: RecordChange) -> float:
+    def least_fraction(change: RecordChange) -> float:
         if change.parameter is None:
             return min(share, POLICY.min_of_best)
         return share if change.near is None else near_share
 
-    predicted = _best_starts(base, changes)
+    predicted = best_starts(base, changes)
     n, largest = sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
     best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
     for change, (gain, model, start) in zip(changes, predicted, strict=True):
         # what an effect names competes with it under that name: a step ahead promises too little of a shift in time
         form, least = (
             change.form or change.what,
-            min(asked(change), POLICY.min_of_best if change.effect else 1.0) * largest,
+            min(least_fraction(change), POLICY.min_of_best if change.effect else 1.0) * largest,
         )
         if gain > max(least, 0.5 * np.log(n) * change.unknowns - POLICY.gain_margin) and (
             form not in best or gain > best[form][0]
@@ -368,59 +370,61 @@ def fit_changes(
     leading = sorted((gain for gain, model, _ in best.values() if model.change.near is None), reverse=True)[:most]
     best = {form: b for form, b in best.items() if b[1].change.near is not None or b[0] in leading}
     models = [model for _, model, _ in best.values()]
-    fits = _maximise(models, [start for _, _, start in best.values()], replace(QUICK, iterations=5))
-    gains = gains_over(fits, base.fit.log_likelihood)
-    reached = max([best_gain, *gains])
-    # Predictions are linear and promise too much: after some steps those that stay far behind are not fitted on.
-    going = [
-        k for k, f in enumerate(fits) if gains[k] + STEPS_AHEAD * f.predicted_gain > asked(models[k].change) * reached
-    ]
-    for k, fit in zip(going, _maximise([models[k] for k in going], [fits[k].values for k in going]), strict=True):
-        fits[k] = fit
+    fractions = np.array([least_fraction(m.change) for m in models])
+
+    def promising(history: Sequence[FloatArray], fits: Sequence[Fit]) -> BoolArray:
+        # Predictions are linear and promise too much: after some steps those that stay far behind are not fitted on.
+        return np.asarray(gains_ahead(history[-1], fits) > fractions * max([best_gain, *history[-1]]))
+
+    def maximise(numbers: Sequence[int], vectors: Sequence[FloatArray], settings: NewtonSettings) -> list[Fit]:
+        return _maximise([models[k] for k in numbers], vectors, settings)
+
+    vectors, few = [start for _, _, start in best.values()], replace(QUICK, iterations=5)
+    fits = fit_staged(maximise, vectors, few, [Stage(QUICK, promising)], base.fit.log_likelihood)
     gains = gains_over(fits, base.fit.log_likelihood)
     reached = max([best_gain, *gains])
     with_ends = [k for k, m in enumerate(models) if m.change.near is not None]
     _move_ends(models, fits, [k for k in with_ends if gains[k] > near_share * reached])
     gains = gains_over(fits, base.fit.log_likelihood)
     largest = max([share * best_gain, *gains])
-    _move_ends(models, fits, [k for k in with_ends if gains[k] > NEARLY * largest], EFFORT.rivals)
+    _move_ends(models, fits, [k for k in with_ends if gains[k] > nearly * largest], EFFORT.rivals)
     trials = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
     return sorted((f for f in trials if f is not None), key=lambda f: f.delta_bic)
 
 
 def with_own_corrections(
-    before: FitResult, base: TrialFit, fits: Sequence[TrialFit], *, min_excess: float = 1.0
+    baseline: FitResult, base: TrialFit, fits: Sequence[TrialFit], *, min_excess: float = 1.0, nearly: float = 0.95
 ) -> list[TrialFit]:
     """Fits of changes, the leading ones with the mesh correction of their own record.
 
-    before  : the declared model fitted to the whole record;  base : the same for the search, which `fits` started from
-    returns : the lowest BIC first; as given where the declared model is near the record
+    baseline : the declared model fitted to the whole record;  base : the same for the search, which `fits` began with
+    returns  : the lowest BIC first; as given where the declared model is near the record
 
     The correction at the declared model is of another wall, or at estimates that a wrong sensor distorts.
 
     min_excess : excess chi-square of the declared model from which on the leading changes have the mesh correction of
-        their own record; those with a parameter where they gain nearly as much as the best
+        their own record; those with a parameter where they gain the part `nearly` of the best
     """
     if base.excess_chi2 < min_excess:
         return list(fits)
     best = min((f.delta_bic for f in fits), default=0.0)
-    leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < NEARLY * best or not f.estimates]
-    trials = [f if f not in leading else _recorrected(before, base, f) for f in fits]
+    leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < nearly * best or not f.estimates]
+    trials = [f if f not in leading else _recorrected(baseline, base, f) for f in fits]
     return sorted(trials, key=lambda f: f.delta_bic)
 
 
-def _recorrected(before: FitResult, base: TrialFit, trial: TrialFit) -> TrialFit:
+def _recorrected(baseline: FitResult, base: TrialFit, trial: TrialFit) -> TrialFit:
     """The fit of a change with the mesh correction of the changed record, fitted on from there.
 
     The fit as it is where the whole record cannot be marched there.
     """
-    change, fit, part = trial.change, trial.whole_fit, trial.problem.record_fits[0]
+    change, fit, record_fit = trial.change, trial.whole_fit, trial.record_fit
     assert change is not None
     assert fit is not None
-    names = [n for n in part.names if n not in trial.estimates]
+    names = [n for n in record_fit.names if n not in trial.estimates]
     try:
-        record = change.apply(before.problem.record_fits[0].record, trial.value)
-        thin = part.record if not change.in_model else change.apply(part.record, trial.value)
+        record = change.apply(baseline.problem.record_fits[0].record, trial.value)
+        thin = record_fit.record if not change.in_model else change.apply(record_fit.record, trial.value)
         correction = own_thinning_error(trial, record, thin, names)
     except CANNOT_BE:
         return trial
@@ -509,8 +513,8 @@ def _maximise(
     def of_fractions(vectors: Mapping[int, FloatArray]) -> list[FloatArray]:
         return [models[k].log_likelihoods(v) for k, v in vectors.items()]  # one after another: models share a problem
 
-    def of_some(numbers: Iterator[int], together: int) -> dict[int, Fit]:
-        return iterate_together(searches, numbers, together, evaluate, of_fractions)
+    def of_some(numbers: Iterator[int], count: int) -> dict[int, Fit]:
+        return iterate_together(searches, numbers, count, evaluate, of_fractions)
 
     return in_turn(of_some, len(models))
 

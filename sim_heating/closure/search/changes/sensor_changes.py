@@ -48,8 +48,6 @@ UNITS: Mapping[str, tuple[float, float]] = {
 """Recorded over true temperature, c0 [K] and c1 [-], of a column in another unit or converted from one by mistake."""
 AT_NOISE = 1.6
 """Residual over the noise below which a sensor is at its noise."""
-ROUGH_SAMPLES = 8
-"""Samples that half the time of diffusion has to hold."""
 OTHERS_MOVE = 3.0
 """Steps of its recorder that another sensor moves by while one is stuck, and the model where one is clipped."""
 
@@ -77,7 +75,7 @@ def sensor_changes(base: TrialFit, *, misfit_floors: float = 2.0) -> list[Record
     seen = {name for names in units for name in names} | {name for _, name in constant}
     others = [c for c in channels if c.sensor.name not in seen]
     misfits = [c.sensor for c in others if c.rms > misfit_floors]
-    record = base.problem.record_fits[0].record
+    record = base.record_fit.record
     return [
         *(change for changes in units.values() for change in changes),
         *(change for change, _ in constant),
@@ -97,8 +95,8 @@ def _rms(s: PredictedSamples) -> float:
 def _residual_K(s: PredictedSamples) -> FloatArray:
     """Readings less predictions of a channel [K], without those at an end of the recorder's range."""
     read = _read_K(s)
-    within = np.isfinite(read)
-    return np.asarray(read[within] - s.mean_K[within])
+    finite = np.isfinite(read)
+    return np.asarray(read[finite] - s.mean_K[finite])
 
 
 def _read_K(s: PredictedSamples) -> FloatArray:
@@ -119,10 +117,10 @@ def swap(a: Sensor, b: Sensor) -> RecordChange:
     """Each of two thermocouples is where the other is declared; recorders and columns stay as they are."""
 
     def apply(record: Record, _: float) -> Record:
-        places = {a.name: b, b.name: a}
+        others = {a.name: b, b.name: a}
 
         def changed(s: Sensor) -> dict[str, object]:
-            other = places.get(s.name)
+            other = others.get(s.name)
             return {} if other is None else {"depth_m": other.depth_m, "tau_s": other.tau_s}
 
         return _with_sensors(record, changed)
@@ -133,15 +131,15 @@ def swap(a: Sensor, b: Sensor) -> RecordChange:
 
 def unit_changes(base: TrialFit) -> dict[frozenset[str], list[RecordChange]]:
     """Columns in another unit, by the names of their sensors: of all where all first readings say so, else of each."""
-    record = base.problem.record_fits[0].record
-    used, found = record.used_sensors, dict[frozenset[str], list[RecordChange]]()
+    record = base.record_fit.record
+    used, changes = record.used_sensors, dict[frozenset[str], list[RecordChange]]()
     for text, line in UNITS.items():
         suspects = [s for s in used if _starts_nearer(record, s, line)]
-        whole = len(suspects) == len(used) > 1
-        for sensors in [suspects] if whole else [[s] for s in suspects]:
-            names = "all thermocouples" if whole else sensors[0].name
-            found.setdefault(frozenset(s.name for s in sensors), []).append(unit(base, sensors, names, text, line))
-    return found
+        all_sensors = len(suspects) == len(used) > 1
+        for sensors in [suspects] if all_sensors else [[s] for s in suspects]:
+            names = "all thermocouples" if all_sensors else sensors[0].name
+            changes.setdefault(frozenset(s.name for s in sensors), []).append(unit(base, sensors, names, text, line))
+    return changes
 
 
 def _starts_nearer(
@@ -176,20 +174,20 @@ def unit(base: TrialFit, sensors: Sequence[Sensor], names: str, text: str, line:
 
     sensors : of the columns;  names : of them, in words;  text : the unit in words;  line : c0 [K] and c1 [-]
     """
-    own, (c0, c1) = {s.name for s in sensors}, line
+    sensor_names, (c0, c1) = {s.name for s in sensors}, line
 
     def apply(record: Record, _: float) -> Record:
-        read = {s.column: (record.thermocouples[s.column] - c0) / c1 for s in record.sensors if s.name in own}
+        read = {s.column: (record.thermocouples[s.column] - c0) / c1 for s in record.sensors if s.name in sensor_names}
         return replace(record, thermocouples={**record.thermocouples, **read})
 
     def scale(problem: FitProblem | None) -> float:
         """Log of the density of unrounded readings in their own unit over that in K."""
         channels = problem.record_fits[0].channels if problem else []
-        count = sum(len(c.samples) for c in channels if c.sensor.name in own and c.sensor.bits is None)
+        count = sum(len(c.samples) for c in channels if c.sensor.name in sensor_names and c.sensor.bits is None)
         return -count * math.log(c1)
 
-    what, known = f"{names} {text}", (scale(base.problem), scale(base.held_out))
-    return RecordChange("sensor", what, None, apply, lambda _: what, known_log_likelihood=known)
+    change_text, scales = f"{names} {text}", (scale(base.problem), scale(base.held_out))
+    return RecordChange("sensor", change_text, None, apply, lambda _: change_text, known_log_likelihood=scales)
 
 
 def drift(record: Record, sensor: Sensor, *, max_drift: float = 10.0) -> RecordChange:
@@ -199,15 +197,17 @@ def drift(record: Record, sensor: Sensor, *, max_drift: float = 10.0) -> RecordC
     """
     span_s = float(np.ptp(record.time_s))
 
-    def apply(given: Record, rate_K_s: float) -> Record:
-        read = given.thermocouples[sensor.column] - rate_K_s * (given.time_s - given.time_s[0])
-        changed = replace(given, thermocouples={**given.thermocouples, sensor.column: read})
+    def apply(stated: Record, rate_K_s: float) -> Record:
+        read = stated.thermocouples[sensor.column] - rate_K_s * (stated.time_s - stated.time_s[0])
+        changed = replace(stated, thermocouples={**stated.thermocouples, sensor.column: read})
         return _with_sensors(changed, lambda s: {"bits": None} if s.name == sensor.name else {})
 
-    own = replace(SENSOR["drift"], name=sensor_parameter(sensor, "drift"))
-    own = replace(own, lower=-max_drift * own.sigma, upper=max_drift * own.sigma)
+    rate_parameter = replace(SENSOR["drift"], name=sensor_parameter(sensor, "drift"))
+    rate_parameter = replace(
+        rate_parameter, lower=-max_drift * rate_parameter.sigma, upper=max_drift * rate_parameter.sigma
+    )
     return RecordChange(
-        "sensor", f"drift of {sensor.name}", own, apply,
+        "sensor", f"drift of {sensor.name}", rate_parameter, apply,
         lambda rate: f"{sensor.name} drifts by {rate * span_s:+.2g} K in {span_s:.0f} s", in_model=True,
     )  # fmt: skip
 
@@ -218,23 +218,25 @@ def depth(record: Record, sensor: Sensor, *, depth_sigma_m: float = 5e-4, farthe
     depth_sigma_m, farthest_m : usual error of the depth of a thermocouple, and the largest that is tried [m]
     """
     behind_m = record.declared.stack.thickness_m - sensor.depth_m
-    own = Parameter(
+    error_parameter = Parameter(
         "depth_error_m", "m", 0.0, depth_sigma_m, -min(sensor.depth_m, farthest_m), min(behind_m, farthest_m),
         "true depth less the declared one",
     )  # fmt: skip
 
-    def apply(given: Record, error_m: float) -> Record:
-        return _with_sensors(given, lambda s: {"depth_m": s.depth_m + error_m} if s.name == sensor.name else {})
+    def apply(stated: Record, error_m: float) -> Record:
+        return _with_sensors(stated, lambda s: {"depth_m": s.depth_m + error_m} if s.name == sensor.name else {})
 
     def describe(error_m: float) -> str:
         return f"{sensor.name} {1e3 * abs(error_m):.2g} mm {'deeper' if error_m > 0.0 else 'less deep'} than declared"
 
-    return RecordChange("sensor", f"depth of {sensor.name}", own, apply, describe, starts=_depth_starts(own))
+    return RecordChange(
+        "sensor", f"depth of {sensor.name}", error_parameter, apply, describe, starts=_depth_starts(error_parameter)
+    )
 
 
-def _depth_starts(own: Parameter) -> tuple[float, ...]:
+def _depth_starts(error: Parameter) -> tuple[float, ...]:
     """Errors of a depth that a fit may start from [m]."""
-    return tuple(x for x in (-4e-3, -1.5e-3, 1.5e-3, 4e-3) if own.lower < x < own.upper)
+    return tuple(x for x in (-4e-3, -1.5e-3, 1.5e-3, 4e-3) if error.lower < x < error.upper)
 
 
 # Readings that are worthless ------------------------------------------------------------------------------------------
@@ -249,7 +251,7 @@ def constant_readings(base: TrialFit, *, min_constant: int = 30) -> list[tuple[R
 
     min_constant : readings that are equal one after the other from which on a sensor may be stuck or clipped
     """
-    record, found = base.problem.record_fits[0].record, list[tuple[RecordChange, str]]()
+    record, changes = base.record_fit.record, list[tuple[RecordChange, str]]()
     # The fitted model may follow readings that do not change.
     try:
         declared = base.problem.samples(np.array([p.value for p in base.problem.parameters]))
@@ -266,12 +268,12 @@ def constant_readings(base: TrialFit, *, min_constant: int = 30) -> list[tuple[R
             and (recovers or not stuck)
             and _is_still(declared, s, read, t[clipped.longest], OTHERS_MOVE * step_K)
         ):
-            found.append((_clip(base, s, read, clipped), sensor.name if stuck else ""))
+            changes.append((_clip(base, s, read, clipped), sensor.name if stuck else ""))
         elif stuck:
             text = f"{sensor.name} stuck at {read[run[0]]:.1f} K from {t[run[0]]:.0f} to {t[run[-1]]:.0f} s"
             lost = np.isin(np.arange(len(read)), run)
-            found.append((_without(base, {sensor.name: lost}, text, float(read[run[0]])), sensor.name))
-    return found
+            changes.append((_without(base, {sensor.name: lost}, text, float(read[run[0]])), sensor.name))
+    return changes
 
 
 def _is_still(
@@ -283,9 +285,9 @@ def _is_still(
     """
     inside = s.mean_K[(s.time_s >= run_s[0]) & (s.time_s <= run_s[-1])]
     level = read[np.isin(s.record_fit.record.time_s, run_s)]
-    within = bool(reading_intervals(s.channel.sensor, np.array([np.median(level)])).is_finite[0])
+    in_range = bool(reading_intervals(s.channel.sensor, np.array([np.median(level)])).is_finite[0])
     changes = len(inside) > 1 and bool(np.ptp(inside) > least_K)
-    return within and changes and _others_move(channels, s.channel.sensor, (run_s[0], run_s[-1]))
+    return in_range and changes and _others_move(channels, s.channel.sensor, (run_s[0], run_s[-1]))
 
 
 def _others_move(channels: Sequence[PredictedSamples], stuck: Sensor, span_s: tuple[float, float]) -> bool:
@@ -293,19 +295,19 @@ def _others_move(channels: Sequence[PredictedSamples], stuck: Sensor, span_s: tu
     others, (begin_s, end_s) = [s for s in channels if s.channel.sensor is not stuck], span_s
     for s in others:
         inside = _read_K(s)[(s.time_s >= begin_s) & (s.time_s <= end_s)]
-        known = inside[np.isfinite(inside)]
-        if len(known) and np.ptp(known) > OTHERS_MOVE * max(s.channel.sensor.lsb_K, 2.0 * s.sigma_K):
+        finite = inside[np.isfinite(inside)]
+        if len(finite) and np.ptp(finite) > OTHERS_MOVE * max(s.channel.sensor.lsb_K, 2.0 * s.sigma_K):
             return True
     return not others
 
 
 def _longest_constant(read: FloatArray) -> IntArray:
     """(run,) indices of the longest run of equal readings; lost ones within it do not end it."""
-    known = np.flatnonzero(np.isfinite(read))
-    ends = np.append(np.flatnonzero(np.diff(read[known]) != 0.0), len(known) - 1)
+    finite = np.flatnonzero(np.isfinite(read))
+    ends = np.append(np.flatnonzero(np.diff(read[finite]) != 0.0), len(finite) - 1)
     begins = np.append(0, ends[:-1] + 1)
     k = int(np.argmax(ends - begins))
-    return np.asarray(known[begins[k] : ends[k] + 1])
+    return np.asarray(finite[begins[k] : ends[k] + 1])
 
 
 class ClippedReadings(NamedTuple):
@@ -338,12 +340,12 @@ def clipped_readings(
     min_length : least length of a run that readings are clipped in
     even_sigmas : standard deviations by which the means of thirds of a run may differ
     """
-    known = np.flatnonzero(np.isfinite(read))
-    if len(known) < min_length:
+    finite = np.flatnonzero(np.isfinite(read))
+    if len(finite) < min_length:
         return None
     floor_K = math.hypot(sigma_K, lsb_K / math.sqrt(12.0))
     for sign in (1.0, -1.0):
-        y = sign * read[known]
+        y = sign * read[finite]
         level = float(np.median(y[y >= np.max(y) - level_floors * floor_K]))
         runs = _runs_at(y, level, floor_K)
         longest = max(runs, key=len)
@@ -352,15 +354,15 @@ def clipped_readings(
             continue
         # a level between two words is read as either
         scatter_K, largest_K = float(np.std(y[longest])), math.hypot(sigma_K, 0.5 * lsb_K)
-        means = [float(np.mean(y[part])) for part in np.array_split(longest, 3)]
+        means = [float(np.mean(y[third])) for third in np.array_split(longest, 3)]
         if scatter_K < largest_K * (1.0 + 3.0 / math.sqrt(2.0 * n)) and np.ptp(means) <= even_sigmas * scatter_K * (
             math.sqrt(6.0 / n)
         ):
             which = np.zeros(len(read), dtype=bool)
-            which[known] = y >= level
+            which[finite] = y >= level
             for run in runs:
-                which[known[run[0]] : known[run[-1]] + 1] = True
-            return ClippedReadings(sign > 0.0, which & np.isfinite(read), known[longest])
+                which[finite[run[0]] : finite[run[-1]] + 1] = True
+            return ClippedReadings(sign > 0.0, which & np.isfinite(read), finite[longest])
     return None
 
 
@@ -374,16 +376,16 @@ def _runs_at(
     most_outliers : readings one after the other that may be outside
     """
     at = np.flatnonzero(y >= level - clipped_floors * floor_K)
-    found = []
-    for part in np.split(at, np.flatnonzero(np.diff(at) > most_outliers + 1) + 1):
-        high = part[y[part] >= level - floor_K]
+    runs = []
+    for run in np.split(at, np.flatnonzero(np.diff(at) > most_outliers + 1) + 1):
+        high = run[y[run] >= level - floor_K]
         if len(high) > 1:
-            found.append(np.arange(high[0], high[-1] + 1))
-    return found or [at]
+            runs.append(np.arange(high[0], high[-1] + 1))
+    return runs or [at]
 
 
 def _clip(
-    base: TrialFit, s: PredictedSamples, read: FloatArray, found: ClippedReadings, *, fine_word: float = 0.05
+    base: TrialFit, s: PredictedSamples, read: FloatArray, clipped: ClippedReadings, *, fine_word: float = 0.05
 ) -> RecordChange:
     """Readings at an end of the range that is not declared: the true ones are there or beyond.
 
@@ -392,36 +394,36 @@ def _clip(
 
     fine_word : word of a clipped thermocouple whose recorder has none, over its noise
     """
-    sensor, own = s.channel.sensor, found.which
+    sensor, which = s.channel.sensor, clipped.which
     lsb_K, bits = sensor.lsb_K or fine_word * s.sigma_K, sensor.bits or 32
-    words = reading_intervals(sensor, read[own])
-    middle_K = float(np.median(read[own]))
+    intervals = reading_intervals(sensor, read[which])
+    middle_K = float(np.median(read[which]))
     levels = middle_K + lsb_K * np.linspace(-1.0, 1.0, 41)
-    level_K = float(max(levels, key=lambda x: scores(words, np.full(np.count_nonzero(own), x), s.sigma_K)[0]))
+    level_K = float(max(levels, key=lambda x: scores(intervals, np.full(np.count_nonzero(which), x), s.sigma_K)[0]))
     end_K, span_K = middle_K + lsb_K * round((level_K - middle_K) / lsb_K), lsb_K * (2.0**bits - 1.0)
-    range_K = [end_K - span_K, end_K] if found.upper else [end_K, end_K + span_K]
+    range_K = [end_K - span_K, end_K] if clipped.upper else [end_K, end_K + span_K]
 
     def apply(record: Record, _: float) -> Record:
-        at_end = np.where(own, end_K, record.thermocouples[sensor.column])
+        at_end = np.where(which, end_K, record.thermocouples[sensor.column])
         changed = replace(record, thermocouples={**record.thermocouples, sensor.column: at_end})
         return _with_sensors(changed, lambda x: {"bits": bits, "range_K": range_K} if x.name == sensor.name else {})
 
     text = f"{sensor.name} clipped at {level_K:.0f} K, which is no declared end of its range"
-    change = _without(base, {sensor.name: own}, text, level_K)
+    change = _without(base, {sensor.name: which}, text, level_K)
     # readings without a word have a density; those that are rounded to a fine one, a probability
-    fine = [0.0 if sensor.bits else -math.log(lsb_K) * _count(p, sensor, own) for p in (base.problem, base.held_out)]
-    known = tuple(a + b for a, b in zip(change.known_log_likelihood, fine, strict=True))
-    return replace(change, apply=apply, known_log_likelihood=(known[0], known[1]))
+    fine = [0.0 if sensor.bits else -math.log(lsb_K) * _count(p, sensor, which) for p in (base.problem, base.held_out)]
+    log_likelihoods = tuple(a + b for a, b in zip(change.known_log_likelihood, fine, strict=True))
+    return replace(change, apply=apply, known_log_likelihood=(log_likelihoods[0], log_likelihoods[1]))
 
 
 def _count(problem: FitProblem | None, sensor: Sensor, lost: BoolArray) -> int:
     """Samples of a sensor in a problem without those lost."""
     if problem is None:
         return 0
-    part = problem.record_fits[0]
-    at = part.record.time_s[lost]
-    own = [c for c in part.channels if c.sensor.name == sensor.name]
-    return sum(int(np.count_nonzero(~np.isin(part.sample_s[c.samples], at))) for c in own)
+    record_fit = problem.record_fits[0]
+    at = record_fit.record.time_s[lost]
+    channels = [c for c in record_fit.channels if c.sensor.name == sensor.name]
+    return sum(int(np.count_nonzero(~np.isin(record_fit.sample_s[c.samples], at))) for c in channels)
 
 
 def broken_sensors(
@@ -442,9 +444,9 @@ def broken_sensors(
     if suspects[0].after_rmse_K < contradiction_floors * suspects[0].floor_K:
         return []
     for count in range(1, min(max_broken, len(residual.sensors) - 1) + 1):
-        found = [_broken(base, c) for c in combinations(suspects, count)]
-        if any(found):
-            return [change for change in found if change is not None]
+        changes = [_broken(base, c) for c in combinations(suspects, count)]
+        if any(changes):
+            return [change for change in changes if change is not None]
     return []
 
 
@@ -454,9 +456,11 @@ def _broken(base: TrialFit, suspects: Sequence[SensorResidual]) -> RecordChange 
     others = _heating_without(base, names)
     if others is None or not _are_broken(others, suspects):
         return None
-    words = [f"{s.sensor.name} {_describe_deviation(s.time_s, deviation_from(others, s), s.floor_K)}" for s in suspects]
+    deviations = [
+        f"{s.sensor.name} {_describe_deviation(s.time_s, deviation_from(others, s), s.floor_K)}" for s in suspects
+    ]
     text = f"{' and '.join(names)} broken"
-    return _without(base, dict.fromkeys(names), text, words=f"{text}: {', '.join(words)}")
+    return _without(base, dict.fromkeys(names), text, description=f"{text}: {', '.join(deviations)}")
 
 
 def _are_broken(others: ResidualHeating, suspects: Sequence[SensorResidual]) -> bool:
@@ -479,7 +483,7 @@ def _are_broken(others: ResidualHeating, suspects: Sequence[SensorResidual]) -> 
 def _heating_without(base: TrialFit, names: Collection[str]) -> ResidualHeating | None:
     """The heating that explains the sensors but for some; None where it cannot be found, its march failing."""
     try:
-        return residual_heating(base.problem, base.fit.values, without=names)
+        return residual_heating(base.problem, base.fit.values, omitted=names)
     except RunError:
         return None
 
@@ -512,21 +516,24 @@ def is_resolved(others: ResidualHeating, suspect: SensorResidual, *, max_fast_sh
     return bool(np.sum(faster_K**2) < max_fast_share * np.sum(deviation_K**2))
 
 
-def is_too_rough(others: ResidualHeating, suspect: SensorResidual, *, rougher: float = 3.0) -> bool:
+def is_too_rough(
+    others: ResidualHeating, suspect: SensorResidual, *, rougher: float = 3.0, least_samples: int = 8
+) -> bool:
     """Whether readings change faster than heat reaches the depth of their thermocouple.
 
     In half the time that heat takes, a temperature at that depth is nearly a parabola in time. Compared with the
     prediction, since the heating, or a layer that conducts better than declared, may bend it a little.
 
     rougher : how much rougher than the prediction readings may be
+    least_samples : that half the time of diffusion has to hold
     """
     record, t = others.record, suspect.time_s
     span_s = 0.5 * _diffusion_time_s(record, suspect.sensor.depth_m)
-    if span_s < ROUGH_SAMPLES * float(np.median(np.diff(t))):
+    if span_s < least_samples * float(np.median(np.diff(t))):
         return False
     predicted_K = suspect.read_K - deviation_from(others, suspect)
-    allowed_K = max(AT_NOISE * suspect.floor_K, rougher * _roughness_K(t, predicted_K, span_s))
-    return _roughness_K(t, suspect.read_K, span_s) > allowed_K
+    allowed_K = max(AT_NOISE * suspect.floor_K, rougher * _roughness_K(t, predicted_K, span_s, least_samples))
+    return _roughness_K(t, suspect.read_K, span_s, least_samples) > allowed_K
 
 
 def _diffusion_time_s(record: Record, depth_m: float) -> float:
@@ -539,14 +546,14 @@ def _diffusion_time_s(record: Record, depth_m: float) -> float:
     return float(0.25 * root_s**2)
 
 
-def _roughness_K(t: FloatArray, values_K: FloatArray, span_s: float) -> float:
+def _roughness_K(t: FloatArray, values_K: FloatArray, span_s: float, least_samples: int) -> float:
     """RMS about a parabola in each span of a history [K]."""
     squares, count = 0.0, 0
-    for own in np.array_split(np.arange(len(t)), max(math.ceil(float(np.ptp(t)) / span_s), 1)):
-        if len(own) > ROUGH_SAMPLES:
-            x = (t[own] - t[own[0]]) / span_s
-            about_K = values_K[own] - np.polyval(np.polyfit(x, values_K[own], 2), x)
-            squares, count = squares + float(about_K @ about_K), count + len(own) - 3
+    for span in np.array_split(np.arange(len(t)), max(math.ceil(float(np.ptp(t)) / span_s), 1)):
+        if len(span) > least_samples:
+            x = (t[span] - t[span[0]]) / span_s
+            about_K = values_K[span] - np.polyval(np.polyfit(x, values_K[span], 2), x)
+            squares, count = squares + float(about_K @ about_K), count + len(span) - 3
     return math.sqrt(squares / count) if count else 0.0
 
 
@@ -584,32 +591,39 @@ def _without(
     lost: Mapping[str, NDArray[np.bool_] | None],
     text: str,
     level_K: float | None = None,
-    words: str = "",
+    description: str = "",
 ) -> RecordChange:
     """Readings that are taken out of the record.
 
     lost    : by name of the sensor, (sample,) which of its readings; None for all
     level_K : about which they have their noise; None where they scatter about the model fitted to the record as
               declared
-    words   : the change in words, with what shows it; else the text
+    description   : the change in words, with what shows it; else the text
     """
 
     def apply(record: Record, _: float) -> Record:
         read = dict(record.thermocouples)
         for s in record.sensors:
             if s.name in lost:
-                own = lost[s.name]
-                read[s.column] = np.full(len(read[s.column]), np.nan) if own is None else _blanked(read[s.column], own)
+                which = lost[s.name]
+                read[s.column] = (
+                    np.full(len(read[s.column]), np.nan) if which is None else _blanked(read[s.column], which)
+                )
         return replace(record, thermocouples=read)
 
     rms_K = {} if level_K is not None else _scatter_K(base)
-    known = [
+    log_likelihoods = [
         0.0 if problem is None else _log_likelihood_of(problem, base.fit.values, lost, rms_K, level_K)
         for problem in (base.problem, None if base.held_out_chi2 == 0.0 else base.held_out)
     ]
     cost = 0.5 * math.log(sample_count(base.problem)) * (len(lost) if level_K is None else 2)
     return RecordChange(
-        "sensor", text, None, apply, lambda _: words or text, known_log_likelihood=(known[0] - cost, known[1])
+        "sensor",
+        text,
+        None,
+        apply,
+        lambda _: description or text,
+        known_log_likelihood=(log_likelihoods[0] - cost, log_likelihoods[1]),
     )
 
 
@@ -641,8 +655,8 @@ def _log_likelihood_of(
         name = s.channel.sensor.name
         if name not in lost:
             continue
-        own = lost[name]
-        at = np.isin(s.time_s, record.time_s if own is None else record.time_s[own])
+        which = lost[name]
+        at = np.isin(s.time_s, record.time_s if which is None else record.time_s[which])
         intervals = s.channel.intervals.select(at)
         mean_K = s.mean_K[at] if level_K is None else np.full(np.count_nonzero(at), level_K)
         total += scores(intervals, mean_K, rms_K.get(name, s.sigma_K))[0]

@@ -63,44 +63,42 @@ def layer_changes(record: Record) -> list[RecordChange]:
     ]
 
 
-def _layer_change(layer: str, own: str, parameter: Parameter) -> RecordChange:
-    quantity, above, below = QUANTITIES[own]
+def _layer_change(layer: str, property_name: str, parameter: Parameter) -> RecordChange:
+    quantity, above, below = QUANTITIES[property_name]
 
     def describe(factor: float) -> str:
         percent = 100.0 * abs(factor - 1.0)
         size = f"{percent:{'.0f' if percent >= 10.0 else '.2g'}} % {above if factor > 1.0 else below}"
-        thing = f"layer {layer}" if own == THICKNESS else f"{quantity} of layer {layer}"
-        return f"{thing} {size} {'than declared' if own == THICKNESS else 'the declared one'}"
+        thing = f"layer {layer}" if property_name == THICKNESS else f"{quantity} of layer {layer}"
+        return f"{thing} {size} {'than declared' if property_name == THICKNESS else 'the declared one'}"
 
-    return RecordChange(
-        "wall", f"{quantity} of layer {layer}", parameter, partial(with_factor, layer=layer, own=own), describe,
-        in_model=True,
-    )  # fmt: skip
+    apply = partial(with_factor, layer=layer, property_name=property_name)
+    return RecordChange("wall", f"{quantity} of layer {layer}", parameter, apply, describe, in_model=True)
 
 
-def with_factor(record: Record, factor: float, *, layer: str, own: str) -> Record:
+def with_factor(record: Record, factor: float, *, layer: str, property_name: str) -> Record:
     """The record with a layer of another thickness, conductivity or heat capacity.
 
-    factor : over the declared value [-];  layer : its name;  own : name of the parameter in parameters.LAYER
+    factor : over the declared value [-];  layer : its name;  property_name : name of the parameter in parameters.LAYER
 
     Sensors at a face stay there, those within the layer keep their distance from its outer face.
     """
     stack = record.declared.stack
     changed = [i for i, name in enumerate(stack.layer_names) if name == layer]
-    if own == THICKNESS:
+    if property_name == THICKNESS:
         return _with_thickness(record, changed, factor)
     materials, layers = dict(record.declared.materials), list(stack.layer)
     for i in changed:
         # A material of its own: another layer of the same one stays as it is.
         name = f"{layers[i].material}, {layer}"
-        materials[name] = _scaled(record.declared.materials[layers[i].material], own, factor)
+        materials[name] = _scaled(record.declared.materials[layers[i].material], property_name, factor)
         layers[i] = layers[i].model_copy(update={"material": name, "name": layer})
     return with_layers(record, layers, materials)
 
 
-def _scaled(material: Material, own: str, factor: float) -> Material:
+def _scaled(material: Material, property_name: str, factor: float) -> Material:
     """A material with its conductivity, or its density, multiplied by a factor."""
-    if own == HEAT_CAPACITY:
+    if property_name == HEAT_CAPACITY:
         return material.model_copy(update={"density_kg_m3": factor * material.density_kg_m3})
     table = material.conductivity_W_mK
     if isinstance(table, PressureTable):
@@ -160,15 +158,15 @@ def contact_changes(record: Record) -> list[RecordChange]:
 def _contact_change(record: Record, number: int, form: str) -> RecordChange:
     stack = record.declared.stack
     outer, inner = stack.layer_names[number : number + 2]
-    declared, own = stack.layer[number].contact_m2K_W, CONTACT
+    declared, resistance_parameter = stack.layer[number].contact_m2K_W, CONTACT
     if declared > 0.0:
         scatter = max(CONTACT.sigma, SCATTER_OF_DECLARED * declared)
-        own = replace(CONTACT, value=declared, sigma=scatter, lower=LEAST_OF_DECLARED * declared)
-    what = f"contact between layer {outer} and layer {inner}"
+        resistance_parameter = replace(CONTACT, value=declared, sigma=scatter, lower=LEAST_OF_DECLARED * declared)
+    text = f"contact between layer {outer} and layer {inner}"
     against = f"{declared:.2g} m2 K/W" if declared > 0.0 else "none"
     return RecordChange(
-        "wall", what, own, partial(with_contact, number=number),
-        lambda resistance: f"{what}: {resistance:.2g} m2 K/W, declared {against}", form=form,
+        "wall", text, resistance_parameter, partial(with_contact, number=number),
+        lambda resistance: f"{text}: {resistance:.2g} m2 K/W, declared {against}", form=form,
     )  # fmt: skip
 
 
@@ -186,8 +184,8 @@ def with_contact(record: Record, contact_m2K_W: float, *, number: int) -> Record
     if stack.nodes is None or stack.layer[number].contact_m2K_W > 0.0:
         return changed
     # a contact is an element, and has a node more
-    more = changed.declared.stack.model_copy(update={"nodes": stack.nodes + 1})
-    return replace(changed, declared=changed.declared.model_copy(update={"stack": more}))
+    finer = changed.declared.stack.model_copy(update={"nodes": stack.nodes + 1})
+    return replace(changed, declared=changed.declared.model_copy(update={"stack": finer}))
 
 
 # Materials of the library ---------------------------------------------------------------------------------------------
@@ -200,9 +198,9 @@ def material_changes(record: Record) -> list[RecordChange]:
     return [
         _material_change(layer, name, material)
         for layer in dict.fromkeys(stack.layer_names)
-        for own in [declared[stack.layer[stack.layer_names.index(layer)].material]]
+        for present in [declared[stack.layer[stack.layer_names.index(layer)].material]]
         for name, material in {**library, **declared}.items()
-        if material != own and material_class(material) == material_class(own)
+        if material != present and material_class(material) == material_class(present)
     ]
 
 
@@ -232,13 +230,13 @@ def _with_material(record: Record, _: float, *, layer: str, name: str, material:
     stack = record.declared.stack
     layers = []
     materials = dict(record.declared.materials)
-    for i, (own, called) in enumerate(zip(stack.layer, stack.layer_names, strict=True)):
+    for i, (present, called) in enumerate(zip(stack.layer, stack.layer_names, strict=True)):
         if called != layer:
-            layers.append(own)
+            layers.append(present)
             continue
         if i == 0 and material.emissivity is None:
-            material = material.model_copy(update={"emissivity": materials[own.material].emissivity})
+            material = material.model_copy(update={"emissivity": materials[present.material].emissivity})
         key = name if materials.get(name) in (None, material) else f"{name}, {layer}"
         materials[key] = material
-        layers.append(own.model_copy(update={"material": key, "name": layer}))
+        layers.append(present.model_copy(update={"material": key, "name": layer}))
     return with_layers(record, layers, materials)

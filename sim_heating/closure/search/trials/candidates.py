@@ -68,7 +68,7 @@ class Candidate:
         effect = effects().get(self.name)
         set_by = [] if effect is None else zip(effect.parameters, effect.model_parameters, strict=False)
         prefix = f"{EFFECT_PREFIX}{self.name}."
-        return (*self.names, *(of_model for own, of_model in set_by if f"{prefix}{own.name}" in self.names))
+        return (*self.names, *(of_model for parameter, of_model in set_by if f"{prefix}{parameter.name}" in self.names))
 
     @property
     def form(self) -> Form:
@@ -86,33 +86,33 @@ NO_EFFECT = Candidate("none", (), (), {}, (), ())
 
 
 def candidates(
-    record: Record, flown: Conditions, taken: Sequence[str] = (), *, last_resort: bool = False
+    record: Record, flown: Conditions, excluded: Sequence[str] = (), *, last_resort: bool = False
 ) -> list[Candidate]:
     """All candidates for a record, without the effects that are already in the model.
 
     flown : its conditions over the samples that are fitted
-    taken : names of the effects in the model
+    excluded : names of the effects in the model
     last_resort : whether the candidates are those of last resort, and no others
     """
     if last_resort:
-        chosen = (e for name, e in effects().items() if e.last_resort and name not in taken)
+        chosen = (e for name, e in effects().items() if e.last_resort and name not in excluded)
         return [c for e in chosen for c in _effect_candidates(e, record, flown)]
     flown = _with_criteria(record, flown)
     # The ratio of a point has one lag: a second effect that lags cannot be added.
-    lag_taken = any(effects()[name].lags for name in taken if name in effects())
+    lag_taken = any(effects()[name].lags for name in excluded if name in effects())
     declared = {used.effect.name for used in record.declared.heating.effects}
-    tried = _declared_candidates(record, flown, taken)
+    tried = _declared_candidates(record, flown, excluded)
     for name, effect in effects().items():
         # a declared transition may have another criterion than that of nature: the library's own takes its place
         if (
-            name not in ({*taken, *declared} if name != TRANSITION else taken)
+            name not in ({*excluded, *declared} if name != TRANSITION else excluded)
             and not effect.last_resort
             and not (effect.lags and lag_taken)
             and all(_varies(v, flown) for v in effect.needs)
         ):
             tried += _effect_candidates(effect, record, flown)
     for name, forms in ((SENSOR_EFFECT, BIASES), (LAG_EFFECT, LAGS)):
-        if name not in taken:
+        if name not in excluded:
             tried += _sensor_candidates(record, name, forms)
     return tried
 
@@ -120,14 +120,14 @@ def candidates(
 def _with_criteria(record: Record, flown: Conditions) -> Conditions:
     """Conditions with Re_theta / M_e, an onset of transition that may be searched for where the point has an edge."""
     heating = record.declared.heating
-    known = heating.recovery_of_point.of_surface and heating.running_length_m is not None
-    if not known or any(used.effect.name == TRANSITION for used in heating.effects):
+    has_edge = heating.recovery_of_point.of_surface and heating.running_length_m is not None
+    if not has_edge or any(used.effect.name == TRANSITION for used in heating.effects):
         return flown
     flow = flow_of_record(record, [use(TRANSITION, {"by_re_theta": 1.0})])
     return flown.with_columns(log10_re_theta_m=edge_flow_columns(flow, flown)["log10_re_theta_m"])
 
 
-def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]) -> list[Candidate]:
+def _declared_candidates(record: Record, flown: Conditions, excluded: Sequence[str]) -> list[Candidate]:
     """Candidates that free what the record declares of an effect, from its values and from the starts of its search.
 
     Their priors are the declared ones: a declared effect is found where it differs from its declaration.
@@ -136,14 +136,14 @@ def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]
     for used in record.declared.heating.effects:
         effect, prefix = used.effect, f"{EFFECT_PREFIX}{used.effect.name}."
         starts = effect.starts_for(with_criterion(used, flown))
-        if effect.name in taken or not starts:
+        if effect.name in excluded or not starts:
             continue
         free = tuple(p.name for p in used.definitions if p.sigma > 0.0)
         declared = dict(zip((p.name for p in used.definitions), used.values, strict=True))
         limits = {p.name: (p.lower, p.upper) for p in used.definitions}
         # a flight begins at Reynolds numbers far below any onset
-        given = [start.values[ONSET_NAME] for start in starts if ONSET_NAME in start.values]
-        onsets = {_within(onset, limits[ONSET_NAME]) for onset in given}
+        search_onsets = [start.values[ONSET_NAME] for start in starts if ONSET_NAME in start.values]
+        onsets = {_within(onset, limits[ONSET_NAME]) for onset in search_onsets}
         for changed in ({}, *({ONSET_NAME: onset} for onset in sorted(onsets))):
             values = declared | changed
             names = tuple(f"{prefix}{name}" for name in free)
@@ -184,13 +184,17 @@ def _effect_candidates(effect: Effect, record: Record, flown: Conditions) -> lis
     return [
         _candidate_at(effect, start, searched)
         for start in starts
-        if not constant_variables([place for name in start.names for place in _places(effect, name)], [record])
+        if not constant_variables(
+            [model_name for name in start.names for model_name in _places(effect, name)], [record]
+        )
     ]
 
 
 def _places(effect: Effect, name: str) -> tuple[str, ...]:
     """Dotted names of the model parameters behind a parameter of an effect."""
-    return tuple(p for p, own in zip(effect.model_parameters, effect.parameters, strict=False) if own.name == name)
+    return tuple(
+        p for p, parameter in zip(effect.model_parameters, effect.parameters, strict=False) if parameter.name == name
+    )
 
 
 def _searched_parameters(starts: Sequence[SearchStart]) -> frozenset[str]:
@@ -199,7 +203,7 @@ def _searched_parameters(starts: Sequence[SearchStart]) -> frozenset[str]:
     for start in starts:
         for name in set(start.names) & set(start.values):
             values.setdefault(name, set()).add(start.values[name])
-    return frozenset(name for name, several in values.items() if len(several) > 1)
+    return frozenset(name for name, first_values in values.items() if len(first_values) > 1)
 
 
 def _candidate_at(effect: Effect, start: SearchStart, searched: Collection[str]) -> Candidate:

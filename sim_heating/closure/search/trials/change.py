@@ -13,12 +13,12 @@ Span = tuple[float, float]
 """Begin and end of a part of a flight, of the air, or of a table."""
 
 
-def moved_ends(span: Span, fraction: float, shortest: float, within: Span) -> list[Span]:
+def moved_ends(span: Span, fraction: float, shortest: float, limits: Span) -> list[Span]:
     """A span with either end, or both, moved by a fraction of its length; within limits, and not too short."""
     low, high = span
     by = fraction * (high - low)
     moves = ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by), (-by, -by), (by, by))
-    spans = [(max(low + a, within[0]), min(high + b, within[1])) for a, b in moves]
+    spans = [(max(low + a, limits[0]), min(high + b, limits[1])) for a, b in moves]
     return [(a, b) for a, b in dict.fromkeys(spans) if b - a >= shortest and (a, b) != span]
 
 
@@ -77,8 +77,8 @@ class RecordChange:
 
         Changes of one form, all of the sensors, or all properties of the layers; else the change by itself.
         """
-        together = self.kind if self.kind == "sensor" or self.in_model else self.what
-        return self.form or together
+        group = self.kind if self.kind == "sensor" or self.in_model else self.what
+        return self.form or group
 
     @property
     def unknowns(self) -> int:

@@ -34,18 +34,18 @@ def has_free_form(trial: TrialFit) -> bool:
     return any(used.effect.name == ADDED_CURVE for used in fitted_effects(trial))
 
 
-def free_form(base: TrialFit, own: TrialFit, at: Mapping[str, float]) -> Candidate | None:
+def free_form(base: TrialFit, trial: TrialFit, values: Mapping[str, float]) -> Candidate | None:
     """The candidate of an effect in a free form, under the name of the effect; None where it has none in a record.
 
-    base : the declared model;  own : the effect fitted in the form of the library
-    at   : values to start from by dotted name
+    base : the declared model;  trial : the effect fitted in the form of the library
+    values   : values to start from by dotted name
 
     Values at the knots have a prior of SCATTER times the mean ratio of the declared table.
     """
-    library = own.candidate
-    if library.name not in FREE_FORMS or has_free_form(own):
+    library = trial.candidate
+    if library.name not in FREE_FORMS or has_free_form(trial):
         return None
-    record = base.problem.record_fits[0].record
+    record = base.record_fit.record
     flown = conditions_of_record(record)
     fitted = flown.at(flown.time_s[record.fit_mask(flown.time_s)])
     for curve in candidates(record, fitted, last_resort=True):
@@ -57,7 +57,7 @@ def free_form(base: TrialFit, own: TrialFit, at: Mapping[str, float]) -> Candida
                 library,
                 uses=(*library.uses, replace(used, declared=declared)),
                 names=(*library.names, *curve.names),
-                start={**{n: at[n] for n in library.names}, **curve.start},
+                start={**{n: values[n] for n in library.names}, **curve.start},
                 active=(*library.names, *curve.names),
                 with_prior=(*library.with_prior, *curve.with_prior),
             )

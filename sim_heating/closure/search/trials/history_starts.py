@@ -73,7 +73,7 @@ def heating_history(base: TrialFit, neutral: Candidate, *, smoothing_error: floa
     if not parameters:
         return None
     problem = problem_with(base, neutral)
-    own = problem.record_fits[0]
+    record_fit = problem.record_fits[0]
     tabulated_alone = dict.fromkeys([*(p.name for p in parameters), CLOCK_SKEW.name], 0.0)
     at = start_values(problem, {**fitted_values(base), **tabulated_alone, **neutral.start})
     try:
@@ -82,9 +82,9 @@ def heating_history(base: TrialFit, neutral: Candidate, *, smoothing_error: floa
         return None
     inside = missing.fitted
     t = missing.time_s[inside]
-    flown = own.conditions.at(t)
+    flown = record_fit.conditions.at(t)
     x = np.column_stack([flown[name] for name in RATIO_VARIABLES])
-    tabulated = declared_ratio(own.model.ratio, x)
+    tabulated = declared_ratio(record_fit.model.ratio, x)
     y = tabulated + missing.delta_ratio[inside]
     if len(t) == 0 or not np.all(np.isfinite(y)):
         return None
@@ -99,7 +99,7 @@ def history_starts(base: TrialFit, tried: Sequence[Candidate]) -> list[Candidate
 
     base  : the declared model, without any effect but the declared ones;  tried : all candidates
     """
-    declared = {used.effect.name for used in base.problem.record_fits[0].record.declared.heating.effects}
+    declared = {used.effect.name for used in base.record_fit.record.declared.heating.effects}
     histories: dict[str, HeatingHistory | None] = {}
     forms: dict[tuple[str, Form], list[Candidate]] = {}
     for c in tried:
@@ -107,16 +107,16 @@ def history_starts(base: TrialFit, tried: Sequence[Candidate]) -> list[Candidate
             forms.setdefault((c.name, c.form), []).append(c)
     suitable: list[tuple[HeatingHistory, list[Candidate]]] = []
     with one_thread():
-        for (name, _), several in forms.items():
+        for (name, _), of_form in forms.items():
             key = name if name in declared else ""
             if key not in histories:
-                histories[key] = heating_history(base, several[0])
+                histories[key] = heating_history(base, of_form[0])
             history = histories[key]
             if history is not None:
-                suitable.append((history, several))
+                suitable.append((history, of_form))
         starts_by_form = in_processes([partial(_best_starts, *s) for s in suitable])
-    return [replace(several[k], start=start, active=several[k].names)
-            for (_, several), starts in zip(suitable, starts_by_form, strict=True) for k, start in starts]  # fmt: skip
+    return [replace(of_form[k], start=start, active=of_form[k].names)
+            for (_, of_form), starts in zip(suitable, starts_by_form, strict=True) for k, start in starts]  # fmt: skip
 
 
 def _is_suitable(c: Candidate) -> bool:
@@ -125,28 +125,28 @@ def _is_suitable(c: Candidate) -> bool:
         return False
     used = c.uses[0]
     values = dict(zip((p.name for p in used.effect.parameters), used.values, strict=True))
-    own = {n.rpartition(".")[2] for n in c.active}
+    magnitudes = {n.rpartition(".")[2] for n in c.active}
     return (
-        0 < len(own) < len(c.names)
-        and own <= set(used.effect.neutral)
+        0 < len(magnitudes) < len(c.names)
+        and magnitudes <= set(used.effect.neutral)
         and not used.effect.reads_ratio
         and not values.get("hysteresis", 0.0)
     )
 
 
 def _best_starts(
-    history: HeatingHistory, several: Sequence[Candidate], *, most_solved: int = 4
+    history: HeatingHistory, of_form: Sequence[Candidate], *, most_solved: int = 4
 ) -> list[tuple[int, dict[str, float]]]:
-    """Of the candidates of one form those, by index, that fit the history best, with the starts that do.
+    """Indices of the candidates of one form that fit the history best, with the starts that do.
 
     most_solved : starts of a form from which the least-squares problem is solved
     """
-    misfits = [_linear_misfit(history, c) for c in several]
-    linear = sorted(range(len(several)), key=lambda k: misfits[k])[:most_solved]
-    solved = sorted(((*_solved(history, several[k]), k) for k in linear), key=lambda s: s[0])
+    misfits = [_linear_misfit(history, c) for c in of_form]
+    linear = sorted(range(len(of_form)), key=lambda k: misfits[k])[:most_solved]
+    solved = sorted(((*_solved(history, of_form[k]), k) for k in linear), key=lambda s: s[0])
     kept: list[tuple[int, dict[str, float]]] = []
     for _, start, k in solved:
-        if all(_apart(several[k], start, other) for _, other in kept):
+        if all(_apart(of_form[k], start, other) for _, other in kept):
             kept.append((k, start))
     return kept[: EFFORT.starts]
 
@@ -164,10 +164,10 @@ def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:
     acting = history.along(used).at(moved)
     changes = (acting[1:] - acting[0]) * (history.tabulated if effect.mode == "multiply" else 1.0)
     J = np.column_stack([history.columns, changes.T]) / history.sigma[:, np.newaxis]
-    left = (history.y - history.tabulated) / history.sigma
+    residual = (history.y - history.tabulated) / history.sigma
     prior = np.zeros((len(history.parameters), J.shape[1]))
     prior[:, : len(history.parameters)] = np.diag([1.0 / p.sigma for p in history.parameters])
-    system, right = np.vstack([J, prior]), np.append(left, np.zeros(len(prior)))
+    system, right = np.vstack([J, prior]), np.append(residual, np.zeros(len(prior)))
     step = np.linalg.lstsq(system, right, rcond=None)[0]
     return float(np.sum((right - system @ step) ** 2))
 
@@ -182,24 +182,24 @@ def _solved(
     used = c.uses[0]
     definitions = {f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": p for p in used.definitions}
     free = [definitions[n] for n in c.names]
-    places = [[p.name for p in used.effect.parameters].index(p.name) for p in free]
+    columns = [[p.name for p in used.effect.parameters].index(p.name) for p in free]
     unit = np.array([*(p.sigma if np.isfinite(p.sigma) else 1.0 for p in history.parameters),
                      *(p.sigma or 1.0 for p in free)])  # fmt: skip
     count, base_columns = len(history.parameters), history.columns
-    known = np.array([float(np.isfinite(p.sigma)) for p in history.parameters])
+    has_prior = np.array([float(np.isfinite(p.sigma)) for p in history.parameters])
 
-    along, multiplies = history.along(used), used.effect.mode == "multiply"
+    effect_along, multiplies = history.along(used), used.effect.mode == "multiply"
 
     def residuals(moved: FloatArray) -> FloatArray:
         """(set, residual) of sets of parameters; an effect is evaluated once for sets that differ in the base alone."""
         values = np.tile(np.array(used.values), (len(moved), 1))
-        values[:, places] = (moved * unit)[:, count:]
-        own = np.any(moved[:, count:] != moved[0, count:], axis=1)
-        own[0] = True
-        acting = along.at(values[own])[np.cumsum(own) * own - own]
+        values[:, columns] = (moved * unit)[:, count:]
+        differs = np.any(moved[:, count:] != moved[0, count:], axis=1)
+        differs[0] = True
+        acting = effect_along.at(values[differs])[np.cumsum(differs) * differs - differs]
         r = history.tabulated + np.array([base_columns @ (z * unit)[:count] for z in moved])
         modelled = r * acting if multiplies else r + acting
-        return np.hstack([(modelled - history.y) / history.sigma, known * moved[:, :count]])
+        return np.hstack([(modelled - history.y) / history.sigma, has_prior * moved[:, :count]])
 
     def jacobian(z: FloatArray) -> FloatArray:
         """Forward differences, to the other side at a bound, all in one call of the compiled effect."""
@@ -229,8 +229,8 @@ def _solved(
     return float(2.0 * done.cost), at
 
 
-def _apart(c: Candidate, one: Mapping[str, float], other: Mapping[str, float]) -> bool:
+def _apart(c: Candidate, start: Mapping[str, float], other: Mapping[str, float]) -> bool:
     """Whether two starts of a candidate's form differ by more than a tenth of a parameter's sigma."""
     used = c.uses[0]
     unit = {f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": p.sigma or 1.0 for p in used.definitions}
-    return any(abs(one[n] - other[n]) > 0.1 * unit[n] for n in c.names)
+    return any(abs(start[n] - other[n]) > 0.1 * unit[n] for n in c.names)

@@ -6,13 +6,13 @@ best starts of each are then fitted side by side, and those that fall behind are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.parallel.processes import in_shares
 from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
 from sim_heating.closure.search.trials.candidates import Candidate, Form
@@ -28,20 +28,10 @@ from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.error_likelihood import ScoredReadings, scored_readings
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import likelihood
-from sim_heating.estimation.inference.newton import Evaluation, Fit, Status
+from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
-
-# A hundred starts screened by their sensitivities cost about as much as one fit; most of the time goes into the fits
-# that follow, hence their stages.
-STAGES = (
-    (0.0, replace(QUICK, iterations=4)), (0.9, replace(QUICK, iterations=8)), (0.5, replace(QUICK, iterations=8)),
-    (0.8, QUICK),
-)  # fmt: skip
-"""Part of the best gain that a candidate has to have reached to enter the stage, and the settings of the stage."""
-STEPS_AHEAD = 3.0
-"""A candidate also goes on where this many steps like its next one would make it the best; one in the last stage."""
 
 
 def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
@@ -52,22 +42,25 @@ def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[flo
     The base's own sensitivities are used for all of them, since a candidate has no or little effect at its start, and
     its priors: what a candidate gains is gained of likelihood and prior density together.
     """
-    known = np.concatenate([s.sensitivity for s in base.problem.samples(base.fit.values)])
+    sensitivity = np.concatenate([s.sensitivity for s in base.problem.samples(base.fit.values)])
     limit = _largest_gain(base)
     return in_shares(
-        lambda chosen: _predicted_gains(base, [candidates[k] for k in chosen], known, limit), len(candidates)
+        lambda chosen: _predicted_gains(base, [candidates[k] for k in chosen], sensitivity, limit), len(candidates)
     )
 
 
-def _predicted_gains(base: TrialFit, candidates: Sequence[Candidate], known: FloatArray, limit: float) -> list[float]:
+def _predicted_gains(
+    base: TrialFit, candidates: Sequence[Candidate], sensitivity: FloatArray, limit: float
+) -> list[float]:
     """Predicted gain of each candidate.
 
-    known : (sample, parameter) sensitivities of the base [K over the unit];  limit : largest gain of any model [-]
+    sensitivity : (sample, parameter) sensitivities of the base [K over the unit]
+    limit       : largest gain of any model [-]
     """
-    part, start = base.problem.record_fits[0], fitted_values(base)
-    fixed = {n: start[n] for n in part.march_names if not n.startswith(EFFECT_PREFIX)}
+    record_fit, start = base.record_fit, fitted_values(base)
+    fixed = {n: start[n] for n in record_fit.march_names if not n.startswith(EFFECT_PREFIX)}
     problems = [
-        candidate_problem(base, part, c, tuple(dict.fromkeys((*part.sensor_names, *c.active))), fixed=fixed)
+        candidate_problem(base, record_fit, c, tuple(dict.fromkeys((*record_fit.sensor_names, *c.active))), fixed=fixed)
         for c in candidates
     ]
     firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, candidates, strict=True)]
@@ -76,8 +69,10 @@ def _predicted_gains(base: TrialFit, candidates: Sequence[Candidate], known: Flo
     gains = []
     for candidate, problem, first, done in zip(candidates, problems, firsts, marched, strict=True):
         # a parameter of the base that a candidate frees of its prior is the candidate's own
-        inner = [k for k, n in enumerate(part.names) if n not in part.sensor_names and n not in candidate.active]
-        prior = _KnownPart(known[:, inner], base.fit.prior_information[inner], (mean - base.fit.values)[inner])
+        inner = [
+            k for k, n in enumerate(record_fit.names) if n not in record_fit.sensor_names and n not in candidate.active
+        ]
+        prior = _KnownPart(sensitivity[:, inner], base.fit.prior_information[inner], (mean - base.fit.values)[inner])
         begin, reached = _predicted_likelihoods(problem, first, prior, scored) if done else (-np.inf, -np.inf)
         gains.append(min(reached - base.fit.log_likelihood, limit + min(begin - base.fit.log_likelihood, 0.0)))
     return gains
@@ -107,17 +102,17 @@ def gains_from(base: TrialFit, candidates: Sequence[Candidate], *, tie: float = 
     return gains
 
 
-def gain_of_step(parameters: Sequence[Parameter], at: FloatArray, evaluation: Evaluation) -> float:
+def gain_of_step(parameters: Sequence[Parameter], vector: FloatArray, evaluation: Evaluation) -> float:
     """Gain in log likelihood that a Gauss-Newton step predicts, the priors of the parameters included [-].
 
-    at : (parameter,) values that were evaluated;  evaluation : log likelihood there, with gradient and information
+    vector : (parameter,) values that were evaluated;  evaluation : log likelihood there, with gradient and information
 
     Parameters on a bound that the gradient pushes beyond it stay there.
     """
     prior = np.array([p.sigma**-2.0 for p in parameters])
-    gradient = evaluation.gradient + prior * (np.array([p.value for p in parameters]) - at)
+    gradient = evaluation.gradient + prior * (np.array([p.value for p in parameters]) - vector)
     lower, upper = (np.array([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
-    free = ~(((at <= lower) & (gradient <= 0.0)) | ((at >= upper) & (gradient >= 0.0)))
+    free = ~(((vector <= lower) & (gradient <= 0.0)) | ((vector >= upper) & (gradient >= 0.0)))
     information = (evaluation.information + np.diag(prior))[np.ix_(free, free)]
     return predicted_gain(gradient[free], covariance(information))
 
@@ -159,22 +154,22 @@ class _ScoreCache(dict[bytes, ScoredReadings]):
 
 
 def _predicted_likelihoods(
-    problem: FitProblem, first: FloatArray, known: _KnownPart, scored: _ScoreCache
+    problem: FitProblem, first: FloatArray, of_base: _KnownPart, scored: _ScoreCache
 ) -> tuple[float, float]:
     """Log likelihood at the start, and after a Gauss-Newton step with what the base gains of its prior density."""
     channels = problem.samples(first)
     readings = scored.score(channels)
-    own = np.concatenate([s.sensitivity for s in channels])
-    gradient, information = readings.score @ own, readings.weight @ own**2
+    sensitivity = np.concatenate([s.sensitivity for s in channels])
+    gradient, information = readings.score @ sensitivity, readings.weight @ sensitivity**2
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
     # A parameter that starts on its bound and is pushed beyond it cannot contribute to the gain.
     on_bound = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
-    J = np.column_stack([known.sensitivity, own[:, ~on_bound & (information > 0.0)]])
+    J = np.column_stack([of_base.sensitivity, sensitivity[:, ~on_bound & (information > 0.0)]])
     M, g = readings.information(J), J.T @ readings.score
-    count = len(known.prior_information)
-    M[range(count), range(count)] += known.prior_information
-    g[:count] += known.prior_information * known.to_mean
+    count = len(of_base.prior_information)
+    M[range(count), range(count)] += of_base.prior_information
+    g[:count] += of_base.prior_information * of_base.to_mean
     return readings.log_likelihood, readings.log_likelihood + predicted_gain(g, covariance(M))
 
 
@@ -200,6 +195,43 @@ def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n
     return selected
 
 
+class Stage(NamedTuple):
+    """A stage of a staged fit.
+
+    settings : of the fits in it
+    enters   : from the (fit,) gains after each stage so far [-] and the fits, (fit,) which of them go on
+    """
+
+    settings: NewtonSettings
+    enters: Callable[[Sequence[FloatArray], Sequence[Fit]], BoolArray]
+
+
+def fit_staged(
+    maximise: Callable[[Sequence[int], Sequence[FloatArray], NewtonSettings], list[Fit]],
+    starts: Sequence[FloatArray],
+    settings: NewtonSettings,
+    stages: Sequence[Stage],
+    reached: float,
+) -> list[Fit]:
+    """Fit all models a few steps, and the promising ones further in each stage.
+
+    maximise : fits of models, by their numbers, from (parameter,) vectors, side by side
+    starts   : (model,) vectors to start from;  settings : of the first steps, which all models take
+    reached  : log likelihood that gains are over [-]
+
+    A hundred starts screened by their sensitivities cost about as much as one fit; most of the time of a search goes
+    into the fits that follow, hence their stages.
+    """
+    fits = maximise(range(len(starts)), starts, settings)
+    history = [gains_over(fits, reached)]
+    for stage in stages:
+        chosen = [int(k) for k in np.flatnonzero(stage.enters(history, fits))]
+        for k, fit in zip(chosen, maximise(chosen, [fits[k].values for k in chosen], stage.settings), strict=True):
+            fits[k] = fit
+        history.append(gains_over(fits, reached))
+    return fits
+
+
 def fit_in_stages(
     bases: Sequence[TrialFit],
     candidates: Sequence[Candidate],
@@ -207,6 +239,7 @@ def fit_in_stages(
     reached: float,
     *,
     by_effect: bool = False,
+    fractions: tuple[float, float, float] = (0.9, 0.5, 0.8),
     min_predicted: float = 0.8,
 ) -> list[TrialFit]:
     """Fit all candidates a few steps, the promising ones further, and to the end those that can still be the best.
@@ -216,36 +249,59 @@ def fit_in_stages(
     reached   : log likelihood that gains are over: of the likeliest base
     by_effect : whether the best fit of each effect goes on with half the gain of the best of all
     returns   : by candidate, its trial, without samples held out
+    fractions : of the best gain, that a candidate has to have reached to enter each stage after the first
     min_predicted : a candidate also enters the second stage with a gain, predicted at its start, of this part of the
         best
     """
-    names = [c.name for c in candidates] if by_effect else []
     problems = [problem_with(b, c) for b, c in zip(bases, candidates, strict=True)]
     starts = [{**fitted_values(b), **c.start} for b, c in zip(bases, candidates, strict=True)]
-    fits = maximise_together(problems, [start_values(*p) for p in zip(problems, starts, strict=True)], STAGES[0][1])
-    history = [gains_over(fits, reached)]
-    for stage, (share, settings) in enumerate(STAGES[1:], start=1):
-        gains, next_step = history[-1], np.array([f.predicted_gain for f in fits])
-        best = float(np.max(gains, initial=0.0))
-        goes_on = gains >= share * best
-        if stage == 1:
-            # Patience at first: on a curved ridge between the size of an effect and the magnitude of the table the
-            # first steps gain little.
-            goes_on |= (np.array(predicted) >= min_predicted * best) | (gains + STEPS_AHEAD * next_step >= best)
-            for name in set(names):
-                own = [k for k, n in enumerate(names) if n == name]
-                leads = max(own, key=lambda k: gains[k])
-                goes_on[leads] |= gains[leads] >= POLICY.min_of_best * best
-        elif stage == 2:
-            goes_on &= gains + STEPS_AHEAD * next_step >= best - POLICY.gain_margin
-        else:
-            goes_on &= np.minimum(_extrapolated(history), gains + next_step) >= best - POLICY.gain_margin
-        chosen = [k for k in range(len(fits)) if goes_on[k] and fits[k].status is Status.ITERATIONS]
-        continued = maximise_together([problems[k] for k in chosen], [fits[k].values for k in chosen], settings)
-        for k, fit in zip(chosen, continued, strict=True):
-            fits[k] = fit
-        history.append(gains_over(fits, reached))
+    names = [c.name for c in candidates] if by_effect else []
+
+    def promising(history: Sequence[FloatArray], fits: Sequence[Fit]) -> BoolArray:
+        # Patience at first: on a curved ridge between the size of an effect and the magnitude of the table the first
+        # steps gain little.
+        gains, best = history[-1], _best(history)
+        enters = (gains >= fractions[0] * best) | (np.array(predicted) >= min_predicted * best)
+        enters |= gains_ahead(gains, fits) >= best
+        for name in set(names):
+            leads = max((k for k, n in enumerate(names) if n == name), key=lambda k: gains[k])
+            enters[leads] |= gains[leads] >= POLICY.min_of_best * best
+        return enters & _unfinished(fits)
+
+    def near(history: Sequence[FloatArray], fits: Sequence[Fit]) -> BoolArray:
+        gains, best = history[-1], _best(history)
+        leading = (gains >= fractions[1] * best) & (gains_ahead(gains, fits) >= best - POLICY.gain_margin)
+        return np.asarray(leading & _unfinished(fits))
+
+    def can_be_best(history: Sequence[FloatArray], fits: Sequence[Fit]) -> BoolArray:
+        gains, best = history[-1], _best(history)
+        ends = np.minimum(_extrapolated(history), gains_ahead(gains, fits, steps=1.0))
+        leading = (gains >= fractions[2] * best) & (ends >= best - POLICY.gain_margin)
+        return np.asarray(leading & _unfinished(fits))
+
+    def maximise(numbers: Sequence[int], vectors: Sequence[FloatArray], settings: NewtonSettings) -> list[Fit]:
+        return maximise_together([problems[k] for k in numbers], vectors, settings)
+
+    few, more_steps = replace(QUICK, iterations=4), replace(QUICK, iterations=8)
+    stages = [Stage(more_steps, promising), Stage(more_steps, near), Stage(QUICK, can_be_best)]
+    vectors = [start_values(*p) for p in zip(problems, starts, strict=True)]
+    fits = fit_staged(maximise, vectors, few, stages, reached)
     return [TrialFit(c.name, c, p, None, f) for c, p, f in zip(candidates, problems, fits, strict=True)]
+
+
+def _best(history: Sequence[FloatArray]) -> float:
+    """Largest gain after the last stage, 0 at least [-]."""
+    return float(np.max(history[-1], initial=0.0))
+
+
+def _unfinished(fits: Sequence[Fit]) -> BoolArray:
+    """(fit,) whether a fit ended for the number of its steps alone."""
+    return np.array([f.status is Status.ITERATIONS for f in fits], dtype=bool)
+
+
+def gains_ahead(gains: FloatArray, fits: Sequence[Fit], *, steps: float = 3.0) -> FloatArray:
+    """(fit,) gains after a number of further steps like the next one [-]."""
+    return np.asarray(gains + steps * np.array([f.predicted_gain for f in fits]))
 
 
 def gains_over(fits: Sequence[Fit], base: float) -> FloatArray:
@@ -257,5 +313,5 @@ def _extrapolated(history: Sequence[FloatArray]) -> FloatArray:
     """(fit,) where gains end if each stage adds the same fraction of the one before it, with twice that allowed."""
     with np.errstate(invalid="ignore", divide="ignore"):
         before, last = history[-2] - history[-3], history[-1] - history[-2]
-        more = np.where(last < before, last**2 / (before - last), np.where(last > 0.0, np.inf, 0.0))
-    return history[-1] + 2.0 * np.nan_to_num(more, nan=np.inf, posinf=np.inf)
+        remaining = np.where(last < before, last**2 / (before - last), np.where(last > 0.0, np.inf, 0.0))
+    return history[-1] + 2.0 * np.nan_to_num(remaining, nan=np.inf, posinf=np.inf)

@@ -55,13 +55,13 @@ class ToldError:
     def in_words(self) -> str:
         """The size of the error, and what is known of the flight's, in a sentence or two."""
         mean, limit = (f"{100.0 * x:.2g} %" for x in (self.relative, self.limit_95))
-        words = (
+        text = (
             f"The model's own error is {mean} of the heating (below {limit} with a probability of 95 %) and changes "
             f"within some {self.correlation_s:.0f} s: {self.rms_K:.1f} K of the readings, most from "
             f"{self.largest_phase}."
         )
-        known = flight_in_words(self.flight)
-        return f"{words} Against its conditions the flight was: {known}." if known else words
+        flight_text = flight_in_words(self.flight)
+        return f"{text} Against its conditions the flight was: {flight_text}." if flight_text else text
 
 
 def flight_as_json(flight: Mapping[str, tuple[float, float] | None]) -> dict[str, Any]:
@@ -70,9 +70,11 @@ def flight_as_json(flight: Mapping[str, tuple[float, float] | None]) -> dict[str
 
 
 def flight_in_words(flight: Mapping[str, tuple[float, float] | None]) -> str:
-    """Those errors of a flight that the readings tell apart; empty where there are none."""
-    told = {n: p for n, p in flight.items() if p is not None}
-    scaled = [(IN_WORDS[n][0] * value, IN_WORDS[n][0] * sigma, IN_WORDS[n][1]) for n, (value, sigma) in told.items()]
+    """Errors of a flight that the readings tell apart, in words; empty where there are none."""
+    determined = {n: p for n, p in flight.items() if p is not None}
+    scaled = [
+        (IN_WORDS[n][0] * value, IN_WORDS[n][0] * sigma, IN_WORDS[n][1]) for n, (value, sigma) in determined.items()
+    ]
     return ", ".join(f"{value:+.2g} +- {sigma:.1g} {meaning}" for value, sigma, meaning in scaled)
 
 
@@ -81,13 +83,13 @@ def told_error(trial: TrialFit, *, phase_count: int = 8) -> ToldError | None:
 
     phase_count : consecutive parts of a record whose error is compared
     """
-    part, size = trial.problem.record_fits[0], trial.size
-    error, G = part.model_error, part.error_root_K
+    record_fit, size = trial.record_fit, trial.size
+    error, G = record_fit.model_error, record_fit.error_root_K
     if error is None or size is None or G is None:
         return None
     u = trial.problem.errors(trial.fit.values)[0]
     moved_K = G[:, : len(error.time_s)] @ u[: len(error.time_s)]
-    at_s = np.concatenate([part.sample_s[c.samples] for c in part.channels])
+    at_s = np.concatenate([record_fit.sample_s[c.samples] for c in record_fit.channels])
     order = np.argsort(at_s, kind="stable")
     phases = [index for index in np.array_split(order, phase_count) if len(index)]
     largest = max(phases, key=lambda index: float(np.mean(moved_K[index] ** 2)))
@@ -100,14 +102,16 @@ def told_error(trial: TrialFit, *, phase_count: int = 8) -> ToldError | None:
 def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tuple[float, float] | None]:
     """Value and standard deviation of each error of the flight; None where the record does not tell it apart."""
     flight, state = error.flight, trial.known_error
-    if not isinstance(flight, SmoothFlightError) or state is None or trial.problem.record_fits[0].flight_names:
+    if not isinstance(flight, SmoothFlightError) or state is None or trial.record_fit.flight_names:
         return {}
-    told = told_flight(flight, error.along_flight(u), state.covariance[error.of_flight, error.of_flight])
+    errors = told_flight(flight, error.along_flight(u), state.covariance[error.of_flight, error.of_flight])
     if flight.has_one_clock and CLOCK_SKEW.name in trial.fit.names:
         k = trial.fit.names.index(CLOCK_SKEW.name)
-        own, sigma = float(trial.fit.values[k]), float(trial.fit.sigma[k])
-        told[TIME_SHIFT] = (own, sigma) if 0.0 < sigma < POLICY.told_apart * flight.uncertainty.time_shift_s else None
-    return told
+        shift_s, sigma = float(trial.fit.values[k]), float(trial.fit.sigma[k])
+        errors[TIME_SHIFT] = (
+            (shift_s, sigma) if 0.0 < sigma < POLICY.told_apart * flight.uncertainty.time_shift_s else None
+        )
+    return errors
 
 
 def told_flight(
@@ -117,10 +121,10 @@ def told_flight(
 
     f : (direction,) in standard deviations [-];  covariance : of it [-]
     """
-    found: dict[str, tuple[float, float] | None] = {}
+    errors: dict[str, tuple[float, float] | None] = {}
     for name, (row, prior) in flight.rows.items():
         sigma = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", row, covariance, row))))
         value = row @ f
-        told = float(value[0]) if len(value) == 1 else float(np.sqrt(np.mean(value**2)))
-        found[name] = (told, sigma) if sigma < POLICY.told_apart * prior else None
-    return found
+        size = float(value[0]) if len(value) == 1 else float(np.sqrt(np.mean(value**2)))
+        errors[name] = (size, sigma) if sigma < POLICY.told_apart * prior else None
+    return errors

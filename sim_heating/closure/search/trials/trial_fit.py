@@ -100,6 +100,11 @@ class TrialFit:
     whole_fit: Fit | None = None
 
     @property
+    def record_fit(self) -> RecordFit:
+        """The fitted samples of its record; of several records those of the first."""
+        return self.problem.record_fits[0]
+
+    @property
     def admissible(self) -> bool:
         """Whether it may be named."""
         return not self.objections
@@ -113,8 +118,8 @@ class TrialFit:
     @property
     def deviations_of_free(self) -> list[float]:
         """Distance of each model parameter freed with a change from its prior, in standard deviations [-]."""
-        part, values = self.problem.record_fits[0], fitted_values(self)
-        priors = {name: part.model.definition(name) for name in (self.change.free if self.change else ())}
+        record_fit, values = self.record_fit, fitted_values(self)
+        priors = {name: record_fit.model.definition(name) for name in (self.change.free if self.change else ())}
         return [abs(values[name] - p.value) / p.sigma for name, p in priors.items()]
 
     @property
@@ -139,8 +144,8 @@ class TrialFit:
     @cached_property
     def _predicted(self) -> tuple[list[PredictedSamples], ErrorState | None]:
         """The fitted samples, each predicted from those before it, and what is then known of the heating's error."""
-        part = self.problem.record_fits[0]
-        return innovations(part, self.problem.samples(self.fit.values))
+        record_fit = self.problem.record_fits[0]
+        return innovations(record_fit, self.problem.samples(self.fit.values))
 
     @property
     def fitted_samples(self) -> list[PredictedSamples]:
@@ -160,8 +165,8 @@ class TrialFit:
         """
         if self.held_out is None:
             return []
-        part = self.held_out.record_fits[0]
-        return innovations(part, self.held_out.samples(self.fit.values), self._predicted[1])[0]
+        record_fit = self.held_out.record_fits[0]
+        return innovations(record_fit, self.held_out.samples(self.fit.values), self._predicted[1])[0]
 
     @cached_property
     def excess_chi2(self) -> float:
@@ -185,9 +190,9 @@ class TrialFit:
                 samples = self.held_out_samples
             except RunError:
                 return -np.inf
-            known = self.held_out.record_fits[0].known_log_likelihood
+            stated = self.held_out.record_fits[0].known_log_likelihood
             each = (log_likelihood(s.channel.intervals, s.mean_K, s.spread_K) for s in samples)
-            total = known + sum(float(np.sum(x)) for x in each)
+            total = stated + sum(float(np.sum(x)) for x in each)
         return total if np.isfinite(total) else -np.inf
 
     @cached_property
@@ -212,17 +217,17 @@ def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResul
     """
     if names is not None:
         return estimate([record], names)
-    wanted = default_names([record])
-    without_heating = parameters_without_heating(wanted, [record])
+    default = default_names([record])
+    without_heating = parameters_without_heating(default, [record])
     if without_heating:
         return declared_model(record, without_heating)
-    excluded = undeclared_derivatives(record, wanted)
-    fit = estimate([record], [n for n in wanted if n not in excluded])
+    excluded = undeclared_derivatives(record, default)
+    fit = estimate([record], [n for n in default if n not in excluded])
     return replace(fit, not_estimated=fit.not_estimated | excluded)
 
 
 def base_trial(
-    before: FitResult,
+    baseline: FitResult,
     *,
     chi2_rounds: int = 3,
     chi2_change: float = 1.2,
@@ -245,29 +250,29 @@ def base_trial(
     node_fraction : nodes of the search over those of a fit
     min_nodes : least number of nodes of the search
     """
-    whole = before.problem.record_fits[0]
-    prior = table_prior(whole.record, whole.names, before.problem.reference)
+    stated = baseline.problem.record_fits[0]
+    prior = table_prior(stated.record, stated.names, baseline.problem.reference)
     priors = {} if prior is None else prior.parameters()
     declared = {**{n: p.value for n, p in priors.items()}, CLOCK_SKEW.name: 0.0}
     # Far from the truth a fit with flat priors may end anywhere, and what it ends at is no place to start from.
-    start = (dict(zip(whole.names, before.fit.values, strict=True)) if before.fit.converged else {}) | {
+    start = (dict(zip(stated.names, baseline.fit.values, strict=True)) if baseline.fit.converged else {}) | {
         CLOCK_SKEW.name: 0.0
     }
-    fitted, held_out = whole.record.fit_mask(), whole.record.holdout_mask()
+    fitted, held_out = stated.record.fit_mask(), stated.record.holdout_mask()
     # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
-    thin = thin_record(whole.record, max(int(node_fraction * whole.mesh.nodes), min_nodes))
-    full = _declared_problem(before, whole.record, priors, fitted | held_out)
-    thinned = _declared_problem(before, thin, priors, fitted | held_out, **THINNED_STEPS)
+    thin = thin_record(stated.record, max(int(node_fraction * stated.mesh.nodes), min_nodes))
+    full = _declared_problem(baseline, stated.record, priors, fitted | held_out)
+    thinned = _declared_problem(baseline, thin, priors, fitted | held_out, **THINNED_STEPS)
     error_K, at_s = thinning_error(full, thinned, start)
 
     def problem_over(chosen: NDArray[np.bool_], c: float = 1.0) -> FitProblem:
         weighed = {n: replace(p, sigma=p.sigma / math.sqrt(c)) for n, p in priors.items()}
-        problem = _declared_problem(before, thin, weighed, chosen, **THINNED_STEPS)
-        part = problem.record_fits[0]
-        part.correction_K = error_K[:, np.isin(at_s, part.sample_s)]
+        problem = _declared_problem(baseline, thin, weighed, chosen, **THINNED_STEPS)
+        record_fit = problem.record_fits[0]
+        record_fit.correction_K = error_K[:, np.isin(at_s, record_fit.sample_s)]
         if error is not None:
-            part.model_error = error
-            part.sigma_K.update({i: max(n.white_K, least_sigma_K(sensors[i])) for i, n in error.noise.items()})
+            record_fit.model_error = error
+            record_fit.sigma_K.update({i: max(n.white_K, least_sigma_K(sensors[i])) for i, n in error.noise.items()})
         return problem
 
     error, sensors = _model_error(full, thinned, start), thin.sensors
@@ -284,8 +289,8 @@ def base_trial(
         weighed = problem_over(fitted, c)
         at = declared if before_c == 1.0 else dict(zip(fit.names, fit.values, strict=True))
         fit = maximise_together([weighed], [start_values(weighed, at)], QUICK)[0]
-    own = np.array([p.sigma**-2.0 for p in problem.parameters])
-    fit = replace(fit, prior_information=own, log_posterior=fit.log_likelihood)
+    information = np.array([p.sigma**-2.0 for p in problem.parameters])
+    fit = replace(fit, prior_information=information, log_posterior=fit.log_likelihood)
     fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
     return TrialFit("none", NO_EFFECT, problem, held_out_problem, fit)
 
@@ -297,14 +302,16 @@ def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, floa
                     of the thinned one
     start         : its values by dotted name
     """
-    part = thinned.record_fits[0]
-    prior = heating_error_prior(part.record)
+    record_fit = thinned.record_fits[0]
+    prior = heating_error_prior(record_fit.record)
     try:
         values = start_values(thinned, start)
-        noise = heating_noise(full.record_fits[0], start_values(full, start)) if part.record.has_flow else None
+        noise = heating_noise(full.record_fits[0], start_values(full, start)) if record_fit.record.has_flow else None
         if prior is not None:
-            return model_error(part, values, prior.relative, prior.middle_s, flight_error(part.record), noise)
-        return None if noise is None else noise_error(part, values, noise)
+            return model_error(
+                record_fit, values, prior.relative, prior.middle_s, flight_error(record_fit.record), noise
+            )
+        return None if noise is None else noise_error(record_fit, values, noise)
     except RunError:  # a model so wrong that it cannot be marched everywhere
         return None
 
@@ -315,16 +322,19 @@ def with_own_error(trial: TrialFit) -> TrialFit:
     The trial as it is where its model has no error, or cannot be marched there. It is fitted on from its values; the
     size is that of the largest probability, then and after the fit.
     """
-    part, prior = trial.problem.record_fits[0], heating_error_prior(trial.problem.record_fits[0].record)
-    if part.model_error is None or prior is None:
+    record_fit, prior = trial.record_fit, heating_error_prior(trial.record_fit.record)
+    if record_fit.model_error is None or prior is None:
         return trial
-    record = part.record
+    record = record_fit.record
     either = [record.fit_mask() | record.holdout_mask()]
-    whole = candidate_problem(trial, part, NO_EFFECT, part.names, prior_scale=WIDENED, sample_masks=either)
+    all_samples = candidate_problem(
+        trial, record_fit, NO_EFFECT, record_fit.names, prior_scale=WIDENED, sample_masks=either
+    )
     try:
         error = model_error(
-            whole.record_fits[0], trial.fit.values, part.model_error.sigma, part.model_error.correlation_s,
-            part.model_error.flight, part.model_error.heating_noise,
+            all_samples.record_fits[0], trial.fit.values, record_fit.model_error.sigma,
+            record_fit.model_error.correlation_s,
+            record_fit.model_error.flight, record_fit.model_error.heating_noise,
         )  # fmt: skip
     except RunError:
         return trial
@@ -354,28 +364,32 @@ def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
     information = np.array([p.sigma**-2.0 for p in parameters])
     distance = np.array([p.value for p in parameters]) - trial.fit.values
     samples = trial.problem.samples(trial.fit.values)
-    return error_size(trial.problem.record_fits[0], samples, (information, distance), ~trial.fit.on_bound, prior)
+    return error_size(trial.record_fit, samples, (information, distance), ~trial.fit.on_bound, prior)
 
 
 def _declared_problem(
-    before: FitResult, record: Record, priors: Mapping[str, Parameter], chosen: NDArray[np.bool_], **more: Any
+    baseline: FitResult,
+    record: Record,
+    priors: Mapping[str, Parameter],
+    chosen: NDArray[np.bool_],
+    **options_of_march: Any,
 ) -> FitProblem:
     """The declared model over chosen samples of a record, whole or thinned; priors are those of its table."""
-    whole = before.problem.record_fits[0]
-    interval = float(np.median(np.diff(whole.record.time_s)))
+    stated = baseline.problem.record_fits[0]
+    interval = float(np.median(np.diff(stated.record.time_s)))
     # Clocks of two recorders never agree exactly, and an unstated skew is estimated as an effect: some room for it
     # belongs to the model without effects.
     agreement_s = min(0.25 * interval, SKEW_SPAN_S)
-    clock = {} if CLOCK_SKEW.name in whole.names else {CLOCK_SKEW.name: clock_prior(record, agreement_s)}
+    clock = {} if CLOCK_SKEW.name in stated.names else {CLOCK_SKEW.name: clock_prior(record, agreement_s)}
     options = FitOptions(
-        effects=before.problem.options.effects,
+        effects=baseline.problem.options.effects,
         priors={**priors, **clock},
         prior_scale=WIDENED,
         sample_masks=[chosen],
-        **more,
+        **options_of_march,
     )
-    problem = FitProblem([record], (*whole.names, *clock), before.problem.reference, options)
-    problem.record_fits[0].sigma_K.update(whole.sigma_K)
+    problem = FitProblem([record], (*stated.names, *clock), baseline.problem.reference, options)
+    problem.record_fits[0].sigma_K.update(stated.sigma_K)
     return problem
 
 
@@ -385,35 +399,36 @@ def thinning_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, fl
     start   : values of the declared model by dotted name
     returns : (sensor, sample) [K] and (sample,) times [s]
     """
-    at, part = start_values(full, start), full.record_fits[0]
+    at, record_fit = start_values(full, start), full.record_fits[0]
     try:
         full.correct_meshes(at)
         exact, coarse = (p.record_fits[0].corrected(p.marched(at)[0], at).temperature_K for p in (full, thinned))
     except RunError:  # a model so wrong that it cannot be marched everywhere: no correction
-        return np.zeros((len(part.mesh.sensors), len(part.sample_s))), part.sample_s
-    return exact - coarse, part.sample_s
+        return np.zeros((len(record_fit.mesh.sensors), len(record_fit.sample_s))), record_fit.sample_s
+    return exact - coarse, record_fit.sample_s
 
 
 def own_thinning_error(
-    trial: TrialFit, whole: Record, thin: Record | None = None, names: Sequence[str] | None = None
+    trial: TrialFit, stated: Record, thin: Record | None = None, names: Sequence[str] | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """The correction of a trial's predictions at its own values, as `thinning_error`.
 
-    whole  : the record that the trial's is thinned from
+    stated  : the record that the trial's is thinned from
     thin, names : the thinned record and the estimated parameters, where these are not the trial's
     raises : InputError, RunError where the whole record cannot be marched with these
     """
-    part = trial.problem.record_fits[0]
-    own = part.names if names is None else names
-    fitted, held_out = whole.fit_mask(), whole.holdout_mask()
+    record_fit = trial.record_fit
+    names = record_fit.names if names is None else names
+    fitted, held_out = stated.fit_mask(), stated.holdout_mask()
     options = FitOptions(
         effects=fitted_effects(trial),
         priors=trial.problem.priors,
         prior_scale=WIDENED,
         sample_masks=[fitted | held_out],
     )
-    full = FitProblem([whole], own, trial.problem.reference, options)
-    thinned = FitProblem([thin or part.record], own, trial.problem.reference, replace(options, **THINNED_STEPS))
+    full = FitProblem([stated], names, trial.problem.reference, options)
+    options = replace(options, **THINNED_STEPS)
+    thinned = FitProblem([thin or record_fit.record], names, trial.problem.reference, options)
     return thinning_error(full, thinned, fitted_values(trial))
 
 
@@ -429,50 +444,52 @@ def corrected(trial: TrialFit, correction: tuple[FloatArray, FloatArray]) -> Tri
 
 def problem_with(base: TrialFit, candidate: Candidate) -> FitProblem:
     """The base's problem with the parameters of a candidate."""
-    return candidate_problem(base, base.problem.record_fits[0], candidate, _names(base, candidate), prior_scale=WIDENED)
+    return candidate_problem(base, base.record_fit, candidate, _names(base, candidate), prior_scale=WIDENED)
 
 
 def held_out_problem_with(base: TrialFit, candidate: Candidate) -> FitProblem | None:
     """The samples held out with the parameters of a candidate; None where there are none."""
     if base.held_out is None:
         return None
-    part = base.held_out.record_fits[0]
-    chosen = [part.record.holdout_mask()]
-    return candidate_problem(base, part, candidate, _names(base, candidate), prior_scale=WIDENED, sample_masks=chosen)
+    record_fit = base.held_out.record_fits[0]
+    chosen = [record_fit.record.holdout_mask()]
+    return candidate_problem(
+        base, record_fit, candidate, _names(base, candidate), prior_scale=WIDENED, sample_masks=chosen
+    )
 
 
 def _names(base: TrialFit, candidate: Candidate) -> tuple[str, ...]:
     """Names of the base's parameters and the candidate's, each once."""
-    return tuple(dict.fromkeys((*base.problem.record_fits[0].names, *candidate.names)))
+    return tuple(dict.fromkeys((*base.record_fit.names, *candidate.names)))
 
 
 def candidate_problem(
-    base: TrialFit, part: RecordFit, candidate: Candidate, names: Sequence[str], **more: Any
+    base: TrialFit, record_fit: RecordFit, candidate: Candidate, names: Sequence[str], **options: Any
 ) -> FitProblem:
     """A part of the base with the effects found so far and those of a candidate.
 
     Its noise and mesh correction are the base's, as are the bounds of the clock and the priors of the table, unless the
     candidate has others.
-    part : the base's part over the fitted or held-out samples;  names : of all estimated parameters
+    record_fit : the base's part over the fitted or held-out samples;  names : of all estimated parameters
     """
     uses = (*fitted_effects(base), *candidate.uses)
     priors: dict[str, Parameter] = dict(base.problem.priors)
     if CLOCK_SKEW.name in candidate.names:
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
     priors |= candidate.priors
-    more |= {"effects": uses, "priors": priors, **THINNED_STEPS}
-    plain = [n for n in names if n not in part.flight_names]
-    problem = FitProblem([part.record], plain, base.problem.reference, FitOptions(**more))
+    options |= {"effects": uses, "priors": priors, **THINNED_STEPS}
+    plain = [n for n in names if n not in record_fit.flight_names]
+    problem = FitProblem([record_fit.record], plain, base.problem.reference, FitOptions(**options))
     # The noise of the base: likelihoods of candidates are compared, and noise fitted to each would absorb what one of
     # them explains.
-    own = problem.record_fits[0]
-    own.sigma_K.update(part.sigma_K)
-    own.known_log_likelihood = part.known_log_likelihood
+    problem_fit = problem.record_fits[0]
+    problem_fit.sigma_K.update(record_fit.sigma_K)
+    problem_fit.known_log_likelihood = record_fit.known_log_likelihood
     # a record without the readings of a broken sensor may have fewer times
-    correction = np.broadcast_to(part.correction_K, (len(part.record.sensors), len(part.sample_s)))
-    own.correction_K = correction[:, np.isin(part.sample_s, own.sample_s)]
-    own.model_error = part.model_error
-    return problem.with_flight_unknowns() if part.flight_names else problem
+    correction = np.broadcast_to(record_fit.correction_K, (len(record_fit.record.sensors), len(record_fit.sample_s)))
+    problem_fit.correction_K = correction[:, np.isin(record_fit.sample_s, problem_fit.sample_s)]
+    problem_fit.model_error = record_fit.model_error
+    return problem.with_flight_unknowns() if record_fit.flight_names else problem
 
 
 def start_values(problem: FitProblem, start: Mapping[str, float]) -> FloatArray:
@@ -487,7 +504,7 @@ def fitted_values(trial: TrialFit) -> dict[str, float]:
 
 def fitted_effects(trial: TrialFit) -> tuple[EffectUse, ...]:
     """The effects of a trial's model at the estimates."""
-    return trial.problem.record_fits[0].model_at(trial.fit.values).effects
+    return trial.record_fit.model_at(trial.fit.values).effects
 
 
 def is_of_table(parameter: Parameter) -> bool:
@@ -509,15 +526,15 @@ def is_fitted(base: TrialFit, name: str) -> bool:
 
     The clock is not where it may only be off by the agreement of two recorders.
     """
-    part = base.problem.record_fits[0]
+    record_fit = base.record_fit
     if name == CLOCK_SKEW.name and name in base.problem.priors:
         return base.problem.priors[name].sigma > CLOCK_SKEW.sigma
-    return any(part.model.same_parameter(name, own) for own in part.names)
+    return any(record_fit.model.same_parameter(name, fitted) for fitted in record_fit.names)
 
 
 def sample_count(problem: FitProblem) -> int:
     """Number of samples of a problem."""
-    return sum(len(channel.samples) for part in problem.record_fits for channel in part.channels)
+    return sum(len(channel.samples) for record_fit in problem.record_fits for channel in record_fit.channels)
 
 
 MAX_STEP_S = 2.0
@@ -569,5 +586,5 @@ def thinned_indices(flown: Conditions, *, heating_tolerance: float = 0.002) -> N
 
 def _is_linear(t: FloatArray, x: FloatArray) -> bool:
     """Whether all samples lie within 1 of the line from the first to the last."""
-    part = (t - t[0]) / (t[-1] - t[0])
-    return bool(np.all(np.abs(x - x[0] - part[:, np.newaxis] * (x[-1] - x[0])) <= 1.0))
+    fraction = (t - t[0]) / (t[-1] - t[0])
+    return bool(np.all(np.abs(x - x[0] - fraction[:, np.newaxis] * (x[-1] - x[0])) <= 1.0))

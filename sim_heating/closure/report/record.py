@@ -29,7 +29,7 @@ from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import write_residual_heating
 from sim_heating.closure.curves import NAME as CURVE_NAME
 from sim_heating.closure.curves import curve_words, write_curve
-from sim_heating.closure.plots import (
+from sim_heating.closure.report.plots import (
     comparison_chart,
     heating_chart,
     hysteresis_figure,
@@ -43,36 +43,36 @@ from sim_heating.estimation.report.ratio_plot import derivatives_about
 from sim_heating.estimation.report.remarks import further_warnings
 
 
-def closure_json(found: Closure) -> dict[str, Any]:
+def closure_json(closure: Closure) -> dict[str, Any]:
     """The contents of closure.json."""
-    effects = [e.as_json() for e in found.effects]
+    effects = [e.as_json() for e in closure.effects]
     named = [e for e in effects if e["name"] not in (NONE, UNKNOWN)]
     return {
         "format": "closure-report/2",
-        "records": [str(found.record.directory)],
-        "sensors": [s.name for s in found.record.used_sensors],
-        "predicted": None if found.predicted is None else found.predicted.segment_errors(),
-        "before": found.before.segment_errors(),
-        "after": found.after.segment_errors(),
-        "noise_floor_K": finite(found.noise_floor_K),
-        "reference_condition": dict(zip(RATIO_VARIABLES, map(float, found.reference), strict=True)),
+        "records": [str(closure.record.directory)],
+        "sensors": [s.name for s in closure.record.used_sensors],
+        "predicted": None if closure.predicted is None else closure.predicted.segment_errors(),
+        "before": closure.before.segment_errors(),
+        "after": closure.after.segment_errors(),
+        "noise_floor_K": finite(closure.noise_floor_K),
+        "reference_condition": dict(zip(RATIO_VARIABLES, map(float, closure.reference), strict=True)),
         "effect": effects[0],
         "effects": named,
-        **found.statement.as_json(),
-        "candidates": [c.as_json() for c in sorted(found.candidates, key=lambda c: c.delta_bic)],
+        **closure.statement.as_json(),
+        "candidates": [c.as_json() for c in sorted(closure.candidates, key=lambda c: c.delta_bic)],
         "residual_heating": HEATING_NAME,
-        "curve": None if found.curve is None else {"file": CURVE_NAME, "variable": found.curve.variable},
-        "estimated": {n: p.as_json() for n, p in found.parameters.items()},
-        "residual": found.residual.as_json(),
-        "residual_after": None if found.residual_after is None else found.residual_after.as_json(),
-        "evidence": {**found.evidence.as_json(), "proposal": found.evidence.proposal()},
-        "data_faults": [{"kind": f.kind, "message": f.message} for f in found.faults],
-        "false_alarm": found.false_alarm,
-        "samples": dict(found.samples),
-        "warnings": list(found.warnings),
-        "remarks": [remark.model_dump() for remark in found.remarks],
+        "curve": None if closure.curve is None else {"file": CURVE_NAME, "variable": closure.curve.variable},
+        "estimated": {n: p.as_json() for n, p in closure.parameters.items()},
+        "residual": closure.residual.as_json(),
+        "residual_after": None if closure.residual_after is None else closure.residual_after.as_json(),
+        "evidence": {**closure.evidence.as_json(), "proposal": closure.evidence.proposal()},
+        "data_faults": [{"kind": f.kind, "message": f.message} for f in closure.faults],
+        "false_alarm": closure.false_alarm,
+        "samples": dict(closure.samples),
+        "warnings": list(closure.warnings),
+        "remarks": [remark.model_dump() for remark in closure.remarks],
         "program": f"sim-heating {package_version()}",
-        "credibility": found.credibility.as_json(),
+        "credibility": closure.credibility.as_json(),
     }  # fmt: skip
 
 
@@ -91,34 +91,34 @@ def write_closure(closure: Closure, folder: Path, draws: Sequence[Callable[[], o
 # The page ------------------------------------------------------------------------------------------------------------
 
 
-def closure_page(found: Closure) -> Page:
+def closure_page(closure: Closure) -> Page:
     """The report as a page."""
-    record = found.record
+    record = closure.record
     title = record.declared.title or record.declared.control_point
     kind = "measured" if record.declared.measured else "synthetic"
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data"
-    warnings = [*(f.message for f in found.faults), *further_warnings(found.warnings, found.remarks)]
+    warnings = [*(f.message for f in closure.faults), *further_warnings(closure.warnings, closure.remarks)]
     sections = sections_of({
-        "Not an aerothermal effect": lambda: _not_effects_section(found),
-        "What would tell them apart": lambda: tell_apart_section(found.statement),
-        "Errors": lambda: _errors_section(found),
-        "Does it explain the record?": lambda: _adequacy_section(found),
-        "Measured against predicted": lambda: _comparison_section(found),
-        "Estimated parameters": lambda: _parameters_section(found),
-        "Candidates": lambda: _candidates_section(found),
-        "Better, and may not be named": lambda: _barred_section(found),
-        "Residual as heating": lambda: _heating_section(found),
-        "Evidence": lambda: _evidence_section(found),
-        "Residuals that no heating explains": lambda: _sensors_section(found),
-        "Credibility": lambda: credibility_section(found.credibility.as_json()),
+        "Not an aerothermal effect": lambda: _not_effects_section(closure),
+        "What would tell them apart": lambda: tell_apart_section(closure.statement),
+        "Errors": lambda: _errors_section(closure),
+        "Does it explain the record?": lambda: _adequacy_section(closure),
+        "Measured against predicted": lambda: _comparison_section(closure),
+        "Estimated parameters": lambda: _parameters_section(closure),
+        "Candidates": lambda: _candidates_section(closure),
+        "Better, and may not be named": lambda: _barred_section(closure),
+        "Residual as heating": lambda: _heating_section(closure),
+        "Evidence": lambda: _evidence_section(closure),
+        "Residuals that no heating explains": lambda: _sensors_section(closure),
+        "Credibility": lambda: credibility_section(closure.credibility.as_json()),
     })  # fmt: skip
-    return Page(title, subtitle, sections, _headline(found), warnings)
+    return Page(title, subtitle, sections, _headline(closure), warnings)
 
 
 def closures_table(rows: Sequence[Mapping[str, Any]], pages: Sequence[str | None] = ()) -> Table:
     """Effects found in records and the errors before and after, a row a record; a page sorts and filters them.
 
-    rows  : as `several.batch.summary_row` gives them, or the name of a record and why it `failed`
+    rows  : as `closure.batch.summary_row` gives them, or the name of a record and why it `failed`
     pages : of each record, the address of its own page
     """
     errors = {
@@ -156,31 +156,31 @@ def _finding_text(row: Mapping[str, Any]) -> str:
     return f"{faults} ({finding})" if faults else finding
 
 
-def _headline(found: Closure) -> tuple[str, str]:
+def _headline(closure: Closure) -> tuple[str, str]:
     """The outcome, and one line on it."""
-    before, after = found.before.segment_errors(), found.after.segment_errors()
+    before, after = closure.before.segment_errors(), closure.after.segment_errors()
     errors = _change("fitted", before["fit"], after["fit"]) + _change("held out", before["holdout"], after["holdout"])
-    words, certainty = found.statement.in_words(), found.statement.certainty()
-    if found.faults:
-        line = f"{found.faults[0].message} The search states: {words[0].lower()}{words[1:]}. {certainty}"
-        return f"No aerothermal finding: {found.faults[0].kind}", line
-    if found.statement.finding == UNKNOWN:
-        return words, " ".join([certainty, *found.evidence.proposal()[:1]])
-    return words, f"{certainty} {errors}"
+    finding, certainty = closure.statement.in_words(), closure.statement.certainty()
+    if closure.faults:
+        line = f"{closure.faults[0].message} The search states: {finding[0].lower()}{finding[1:]}. {certainty}"
+        return f"No aerothermal finding: {closure.faults[0].kind}", line
+    if closure.statement.finding == UNKNOWN:
+        return finding, " ".join([certainty, *closure.evidence.proposal()[:1]])
+    return finding, f"{certainty} {errors}"
 
 
-def _change(what: str, before: Mapping[str, float] | None, after: Mapping[str, float] | None) -> str:
+def _change(samples: str, first: Mapping[str, float] | None, last: Mapping[str, float] | None) -> str:
     """RMSE over fitted or held-out data, before and after."""
-    if before is None or after is None:
+    if first is None or last is None:
         return ""
-    if before is after or before["rmse_K"] == after["rmse_K"]:
-        return f"RMSE over {what} data: {before['rmse_K']:.2f} K. "
-    return f"RMSE over {what} data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after. "
+    if first is last or first["rmse_K"] == last["rmse_K"]:
+        return f"RMSE over {samples} data: {first['rmse_K']:.2f} K. "
+    return f"RMSE over {samples} data: {first['rmse_K']:.2f} K before, {last['rmse_K']:.2f} K after. "
 
 
-def _not_effects_section(found: Closure) -> list[Section]:
+def _not_effects_section(closure: Closure) -> list[Section]:
     """Causes that are no aerothermal effect, in words."""
-    causes = found.statement.not_effects
+    causes = closure.statement.not_effects
     if not causes:
         return []
     return [Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])]
@@ -199,9 +199,9 @@ def tell_apart_section(statement: Statement) -> list[Section]:
     return [Section("What would tell them apart", [text], points=lines)]
 
 
-def _adequacy_section(found: Closure) -> list[Section]:
+def _adequacy_section(closure: Closure) -> list[Section]:
     """Reduced chi-squares of the model with what was found, by sensor and by time."""
-    adequacy = found.statement.adequacy
+    adequacy = closure.statement.adequacy
     if adequacy is None:
         return []
     rows: list[list[Any]] = [["fitted samples", adequacy.chi2_fit]]
@@ -209,20 +209,20 @@ def _adequacy_section(found: Closure) -> list[Section]:
         rows.append(["segments held out", adequacy.chi2_holdout])
     rows += [[f"sensor {n}", v] for n, v in adequacy.by_sensor.items()]
     rows += [[n, v] for n, v in adequacy.by_phase.items()]
-    resembled = found.statement.finding == PARTLY
-    whose = f"With {found.statement.named}, which is not stated as the cause. " if resembled else ""
-    exact, p = found.statement.model_error is None, _p_value_text(adequacy.p_value)
+    resembled = closure.statement.finding == PARTLY
+    whose = f"With {closure.statement.named}, which is not stated as the cause. " if resembled else ""
+    exact, p = closure.statement.model_error is None, _p_value_text(adequacy.p_value)
     residuals = "Residuals" if exact else "Readings less what those before them say, by the model with its error,"
     below = (
         ""
         if exact or adequacy.chi2_fit >= 1.0
         else ", and below 1 where the noise is smaller than stated or changes slowly"
     )
-    made = "synthetic records, fitted with their true effect," if exact else "records made with this model"
+    reference = "synthetic records, fitted with their true effect," if exact else "records made with this model"
     text = (
         f"{whose}{residuals} over what noise and rounding give. For the true model the reduced chi-square is 1 in "
         f"every row{below}. The autocorrelation of neighbouring residuals is {adequacy.lag1:.2f}. The p-value, {p}, is "
-        f"the share of {made} that deviate more."
+        f"the share of {reference} that deviate more."
     )
     return [
         Section(
@@ -233,11 +233,11 @@ def _adequacy_section(found: Closure) -> list[Section]:
     ]
 
 
-def _errors_section(found: Closure) -> Section:
-    stages = [] if found.predicted is None else [("Declared model, nothing fitted", found.predicted)]
-    stages.append(("Declared model fitted (before)", found.before))
-    if found.compared:
-        stages.append((f"With {found.fitted_with} (after)", found.after))
+def _errors_section(closure: Closure) -> Section:
+    stages = [] if closure.predicted is None else [("Declared model, nothing fitted", closure.predicted)]
+    stages.append(("Declared model fitted (before)", closure.before))
+    if closure.compared:
+        stages.append((f"With {closure.fitted_with} (after)", closure.after))
     rows = []
     for label, prediction in stages:
         errors = prediction.segment_errors()
@@ -250,9 +250,9 @@ def _errors_section(found: Closure) -> Section:
         Column("samples", "holdout_n", ".0f"),
     ]  # fmt: skip
     caption = (
-        f"Noise floor, from sensor noise and quantisation: {found.noise_floor_K:.2f} K. Errors are those of the plain "
-        "march, with no measurement assimilated. Held-out samples entered no fit; they were used only to rank the "
-        "candidates."
+        f"Noise floor, from sensor noise and quantisation: {closure.noise_floor_K:.2f} K. Errors are those of the "
+        "plain march, with no measurement assimilated. Held-out samples entered no fit; they were used only to rank "
+        "the candidates."
     )
     return Section("Errors", tables=[Table(caption, columns, rows, strong=[len(rows) - 1])])
 
@@ -262,34 +262,34 @@ def _error_cells(errors: Mapping[str, float] | None) -> list[float | None]:
     return [None, None, 0] if errors is None else [errors["rmse_K"], errors["max_abs_K"], errors["n"]]
 
 
-def _comparison_section(found: Closure) -> Section:
-    chart = comparison_chart(found.predicted, found.before, found.after, found.fitted_with)
+def _comparison_section(closure: Closure) -> Section:
+    chart = comparison_chart(closure.predicted, closure.before, closure.after, closure.fitted_with)
     return Section("Measured against predicted", charts=[chart])
 
 
-def _parameters_section(found: Closure) -> list[Section]:
+def _parameters_section(closure: Closure) -> list[Section]:
     """Estimates of what was found, then those of the model; none where nothing was estimated."""
     rows = [
-        [f"{e.title}: {n}", p.value, _sigma_cell(p), p.unit] for e in found.effects for n, p in e.parameters.items()
+        [f"{e.title}: {n}", p.value, _sigma_cell(p), p.unit] for e in closure.effects for n, p in e.parameters.items()
     ]
     rows += [
         [f"{c.kind}: {n}", p.value, _sigma_cell(p), p.unit]
-        for c in found.statement.not_effects
+        for c in closure.statement.not_effects
         for n, p in c.parameters.items()
     ]
     of_effects = len(rows)
-    derivatives = {n: p for n, p in found.parameters.items() if not n.startswith(EFFECT_PREFIX)}
+    derivatives = {n: p for n, p in closure.parameters.items() if not n.startswith(EFFECT_PREFIX)}
     rows += [[n, p.value, _sigma_cell(p), p.unit] for n, p in derivatives.items()]
     if not rows:
         return []
-    about = derivatives_about(derivatives, found.reference)
-    exact = found.statement.model_error is None
+    about = derivatives_about(derivatives, closure.reference)
+    exact = closure.statement.model_error is None
     bounds = "corrected for coloured residuals" if exact else "with the error of the model"
     caption = f"One standard deviation, {bounds}. {about}".rstrip()
     columns: list[Column | str] = ["", Column("value", format=".5g"), Column("sigma", format=".2g")]
     columns.append(Column("unit", is_text=True))
     table = Table(caption, columns, rows, strong=list(range(of_effects)))
-    return [Section("Estimated parameters", points=[r.in_words for r in found.remarks], tables=[table])]
+    return [Section("Estimated parameters", points=[r.in_words for r in closure.remarks], tables=[table])]
 
 
 def _sigma_cell(p: ParameterEstimate) -> float | str:
@@ -297,8 +297,8 @@ def _sigma_cell(p: ParameterEstimate) -> float | str:
     return p.sigma if math.isfinite(p.sigma) else "not determined"
 
 
-def _candidates_section(found: Closure) -> Section:
-    ranked = sorted(found.candidates, key=lambda c: c.delta_bic)
+def _candidates_section(closure: Closure) -> Section:
+    ranked = sorted(closure.candidates, key=lambda c: c.delta_bic)
     if not ranked:
         return Section("Candidates", ["No candidate was tried."])
     marched = any(math.isfinite(c.fit_rmse_K) for c in ranked)
@@ -306,7 +306,7 @@ def _candidates_section(found: Closure) -> Section:
         [c.name, c.delta_bic, *((c.fit_rmse_K, c.holdout_rmse_K) if marched else ()), _share_cell(c.posterior)]
         for c in ranked
     ]
-    chosen = [e.name for e in found.effects]
+    chosen = [e.name for e in closure.effects]
     marked = [i for i, c in enumerate(ranked) if c.name in chosen]
     caption = (
         "Share: of the likelihood of all that may be named, held-out segments, priors on magnitudes and the number of "
@@ -318,46 +318,46 @@ def _candidates_section(found: Closure) -> Section:
     columns.append(Column("share", "posterior", ".2g"))
     table = Table(caption, columns, rows, strong=marked)
     figure = partial(ranking_figure, [c.name for c in ranked], [c.delta_bic for c in ranked], chosen)
-    text = [found.false_alarm] if found.false_alarm else []
+    text = [closure.false_alarm] if closure.false_alarm else []
     picture = Picture(figure, "Blue: added effects. The axis is linear within 10.")
     return Section("Candidates", text, tables=[table], pictures=[picture])
 
 
-def _barred_section(found: Closure) -> list[Section]:
+def _barred_section(closure: Closure) -> list[Section]:
     """Models that fit better than the one that errors after are of, and why they may not be named."""
-    rows = [[" + ".join(b.names), b.delta_evidence, b.reason] for b in found.statement.barred]
+    rows = [[" + ".join(b.names), b.delta_evidence, b.reason] for b in closure.statement.barred]
     columns: list[Column | str] = [
         "model", Column("log evidence above", format="+.1f"), Column("may not be named", is_text=True),
     ]  # fmt: skip
-    model = f"that with {found.fitted_with}" if found.fitted_with else "the declared model"
+    model = f"that with {closure.fitted_with}" if closure.fitted_with else "the declared model"
     text = f"Log evidence, segments held out and priors included, is above {model}."
     return [Section("Better, and may not be named", tables=[Table(text, columns, rows)])] if rows else []
 
 
-def _share_cell(share: float) -> float | str:
+def _share_cell(posterior: float) -> float | str:
     """A share of the likelihood, never as certain."""
-    return "above 0.99" if share > 0.99 else "below 0.001" if share < 0.001 else share
+    return "above 0.99" if posterior > 0.99 else "below 0.001" if posterior < 0.001 else posterior
 
 
-def _heating_section(found: Closure) -> Section:
-    half_amplitude_Hz = found.residual.input.half_amplitude_Hz
+def _heating_section(closure: Closure) -> Section:
+    half_amplitude_Hz = closure.residual.input.half_amplitude_Hz
     text = [
-        f"The {found.residual.quantity} that has to be added for the measured temperatures to be explained: the "
+        f"The {closure.residual.quantity} that has to be added for the measured temperatures to be explained: the "
         "inverse heat conduction problem, regularised by the noise model that the record itself makes most likely. "
         f"Changes up to {half_amplitude_Hz:.3g} Hz are recovered with more than half their size (a period of "
         f"{_period(half_amplitude_Hz)})."
     ]
-    variables = flight_variables(found.residual)
-    if found.curve is not None:
+    variables = flight_variables(closure.residual)
+    if closure.curve is not None:
         text.append(
-            f"A smooth curve explains most of it: {curve_words(found.curve)}. {CURVE_NAME} has it with its standard "
+            f"A smooth curve explains most of it: {curve_words(closure.curve)}. {CURVE_NAME} has it with its standard "
             "deviation. It states no cause."
         )
-    order = [f.shape.variable for f in found.evidence.shape_fits]
+    order = [f.shape.variable for f in closure.evidence.shape_fits]
     order += [n for n in variables if n not in order]
-    over_time = heating_chart(found.residual, found.residual_after, found.evidence)
-    over_variables = partial(variables_figure, found.residual, variables, order)
-    caption = f"Missing {found.residual.quantity} against what changed; bars: 1 sigma."
+    over_time = heating_chart(closure.residual, closure.residual_after, closure.evidence)
+    over_variables = partial(variables_figure, closure.residual, variables, order)
+    caption = f"Missing {closure.residual.quantity} against what changed; bars: 1 sigma."
     return Section("Residual as heating", text, pictures=[Picture(over_variables, caption)], charts=[over_time])
 
 
@@ -366,8 +366,8 @@ def _period(frequency_Hz: float) -> str:
     return f"{1.0 / frequency_Hz:.0f} s" if frequency_Hz > 0.0 else "none: the readings do not determine it"
 
 
-def _evidence_section(found: Closure) -> Section:
-    e = found.evidence
+def _evidence_section(closure: Closure) -> Section:
+    e = closure.evidence
     correlations = Table(
         "Weighted by 1 / sigma^2. The p-value is that of a correlation as large with an unrelated history, for the one "
         "variable and lag, and over all of them.",
@@ -391,7 +391,7 @@ def _evidence_section(found: Closure) -> Section:
         ],
         [[f.shape.describe(), f.amplitude, abs(f.z), f.share] for f in e.shape_fits[:8]],
     )  # fmt: skip
-    figure = hysteresis_figure(found.residual, flight_variables(found.residual), e)
+    figure = hysteresis_figure(closure.residual, flight_variables(closure.residual), e)
     caption = "Residual around the manoeuvres with the widest loops: an error of the thermal model, a clock or a lag."
     pictures = [] if figure is None else [Picture(figure, caption)]
     points = [*e.proposal(), *(f"Left out: {piece} ({reason})." for piece, reason in e.left_out.items())]
@@ -408,9 +408,9 @@ def _p_value_text(p: float) -> str:
     return f"{p:.2g}" if p > 1e-6 else "below 1e-6"
 
 
-def _sensors_section(found: Closure) -> Section:
+def _sensors_section(closure: Closure) -> Section:
     text = [
         "A residual that remains with the best heating history is not due to heating at the surface: conduction, the "
         "sensor, its clock."
     ]
-    return Section("Residuals that no heating explains", text, points=[s.describe() for s in found.residual.sensors])
+    return Section("Residuals that no heating explains", text, points=[s.describe() for s in closure.residual.sensors])

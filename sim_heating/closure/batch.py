@@ -54,7 +54,7 @@ def find_records(paths: Sequence[Path], root: Path | None = None) -> list[Path]:
     root   : folder that symbolic links among them may lead to, as `load_record` takes it
     raises : InputError where a directory holds none
     """
-    found: list[Path] = []
+    records: list[Path] = []
     for path in paths:
         if path.is_dir() and not (path / DECLARATION).is_file():
             below = sorted(p.parent for p in path.glob(f"*/{DECLARATION}"))
@@ -63,10 +63,10 @@ def find_records(paths: Sequence[Path], root: Path | None = None) -> list[Path]:
             roots = roots_of(path / DECLARATION, root)
             for record in below:
                 roots.check_link(record)
-            found += below
+            records += below
         else:
-            found.append(path)
-    return found
+            records.append(path)
+    return records
 
 
 def record_names(records: Sequence[Path], root: Path | None = None) -> list[str]:
@@ -108,7 +108,7 @@ def close_all(
     raises    : InputError where the scheduler or a folder of results cannot be used
     """
     from sim_heating.closure.close import COMMAND, FILES
-    from sim_heating.closure.several.batch_page import write_batch_page  # matplotlib is slow to import
+    from sim_heating.closure.report.batch import write_batch_page  # matplotlib is slow to import
 
     labels = record_names(records, root)
     jobs = [record_job(path, out / label, root, names, label) for path, label in zip(records, labels, strict=True)]
@@ -171,7 +171,7 @@ def program_digest(inputs: Sequence[str], settings: Sequence[str] = ()) -> str:
 def _close_record(task: Task) -> bytes:
     """Close the loop on one record and write its folder; summary row, residuals and digest of the folder as JSON."""
     from sim_heating.closure.close import close_loop, write_closed_loop
-    from sim_heating.closure.several.batch_page import residual_history
+    from sim_heating.closure.report.batch import residual_history
 
     record = load_record(task.record, root=task.root)
     closed = close_loop(replace(record, label=task.label), task.names)
@@ -214,8 +214,8 @@ def summary_row(report: Any) -> dict[str, Any]:
     }
     for name, prediction in (("predicted", report.predicted), ("before", report.before), ("after", report.after)):
         none = dict.fromkeys(("fit", "holdout"))
-        for what, errors in (none if prediction is None else prediction.segment_errors()).items():
-            row[f"{name}_{what}_rmse_K"] = None if errors is None else errors["rmse_K"]
+        for segment, errors in (none if prediction is None else prediction.segment_errors()).items():
+            row[f"{name}_{segment}_rmse_K"] = None if errors is None else errors["rmse_K"]
     return row
 
 

@@ -25,11 +25,11 @@ from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.report import tell_apart_section
+from sim_heating.closure.report.record import tell_apart_section
 from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone, finite, listed
+from sim_heating.closure.search.evidence import Evidence
+from sim_heating.closure.search.joint_model import RECORD
 from sim_heating.closure.search.trials.told_error import flight_as_json
-from sim_heating.closure.several.evidence import Evidence
-from sim_heating.closure.several.joint_fit import RECORD
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, shade_holdout
@@ -38,44 +38,44 @@ from sim_heating.simulation.predict import Prediction
 # Files ----------------------------------------------------------------------------------------------------------------
 
 
-def _pooled_predictions(found: JointClosure) -> dict[str, Any] | None:
+def _pooled_predictions(joint: JointClosure) -> dict[str, Any] | None:
     """Errors of the declared models; None where one of them lacks a heating ratio."""
-    predicted = [c.predicted for c in found.closures if c.predicted is not None]
-    return found.pooled(predicted) if len(predicted) == len(found.closures) else None
+    predicted = [c.predicted for c in joint.closures if c.predicted is not None]
+    return joint.pooled(predicted) if len(predicted) == len(joint.closures) else None
 
 
-def joint_closure_json(found: JointClosure) -> dict[str, Any]:
+def joint_closure_json(joint: JointClosure) -> dict[str, Any]:
     """The contents of closure.json."""
-    effects = [e.as_json() for e in found.effects]
-    first, best = found.closures[0], found.search.best
-    floors = [(c.noise_floor_K, int(np.count_nonzero(c.record.fit_mask()))) for c in found.closures]
+    effects = [e.as_json() for e in joint.effects]
+    first, best = joint.closures[0], joint.search.best
+    floors = [(c.noise_floor_K, int(np.count_nonzero(c.record.fit_mask()))) for c in joint.closures]
     floor = float(np.sqrt(sum(n * k**2 for k, n in floors) / sum(n for _, n in floors)))
     return {
         "format": "closure-report/2",
-        "records": [str(c.record.directory) for c in found.closures],
-        "sensors": list(dict.fromkeys(s.name for c in found.closures for s in c.record.used_sensors)),
-        "predicted": _pooled_predictions(found),
-        "before": found.pooled([c.before for c in found.closures]),
-        "after": found.pooled(found.after),
+        "records": [str(c.record.directory) for c in joint.closures],
+        "sensors": list(dict.fromkeys(s.name for c in joint.closures for s in c.record.used_sensors)),
+        "predicted": _pooled_predictions(joint),
+        "before": joint.pooled([c.before for c in joint.closures]),
+        "after": joint.pooled(joint.after),
         "noise_floor_K": finite(floor),
         "reference_condition": _condition(first),
         "effect": effects[0],
-        "effects": effects if found.search.explained and best.kind == "effect" else [],
-        **found.statement.as_json(),
-        "candidates": [c.as_json() for c in sorted(found.candidates, key=lambda c: c.delta_bic)],
+        "effects": effects if joint.search.explained and best.kind == "effect" else [],
+        **joint.statement.as_json(),
+        "candidates": [c.as_json() for c in sorted(joint.candidates, key=lambda c: c.delta_bic)],
         "residual_heating": None,
         "by_record": [
             _record_json(c, e, after)
-            for c, e, after in zip(found.closures, found.search.evidence, found.after, strict=True)
+            for c, e, after in zip(joint.closures, joint.search.evidence, joint.after, strict=True)
         ],
-        "model_error": {"flights": {n: flight_as_json(e) for n, e in found.flights.items()}} if found.flights else None,
+        "model_error": {"flights": {n: flight_as_json(e) for n, e in joint.flights.items()}} if joint.flights else None,
         "common_cost": best.common,
         "common_parameters": {} if best.model is None else dict(best.model.levels),
-        "estimated": {n: p.as_json() for n, p in found.parameters.items()},
-        "remarks": found.remarks(),
-        "warnings": list(found.warnings),
+        "estimated": {n: p.as_json() for n, p in joint.parameters.items()},
+        "remarks": joint.remarks(),
+        "warnings": list(joint.warnings),
         "program": f"sim-heating {package_version()}",
-        "credibility": found.credibility.as_json(),
+        "credibility": joint.credibility.as_json(),
     }  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def _condition(closure: Closure) -> dict[str, float]:
     return dict(zip(RATIO_VARIABLES, map(float, closure.reference), strict=True))
 
 
-def _record_json(closure: Closure, e: Evidence, after: Prediction) -> dict[str, Any]:
+def _record_json(closure: Closure, e: Evidence, prediction: Prediction) -> dict[str, Any]:
     """One record in closure.json; scores are differences of BIC, below 0 where they speak for the cause."""
     return {
         "record": closure.record.name,
@@ -100,51 +100,51 @@ def _record_json(closure: Closure, e: Evidence, after: Prediction) -> dict[str, 
         "own_values": {n: {"value": v, "sigma": finite(s)} for n, (v, s) in e.own.items()},
         "reference_condition": _condition(closure),
         "before": closure.before.segment_errors(),
-        "after": after.segment_errors(),
+        "after": prediction.segment_errors(),
         "noise_floor_K": finite(closure.noise_floor_K),
     }
 
 
-def write_joint_closure(found: JointClosure, folder: Path) -> None:
+def write_joint_closure(joint: JointClosure, folder: Path) -> None:
     """Write the files of a joint closure into an existing folder."""
-    write_json(folder / NAME, joint_closure_json(found))
-    write_csv(folder / RECORDS, evidence_table(found).columns_by_key())
-    write_page(folder / PAGE, lambda: joint_page(found))
+    write_json(folder / NAME, joint_closure_json(joint))
+    write_csv(folder / RECORDS, evidence_table(joint).columns_by_key())
+    write_page(folder / PAGE, lambda: joint_page(joint))
 
 
 # The page -------------------------------------------------------------------------------------------------------------
 
 
-def joint_page(found: JointClosure) -> Page:
+def joint_page(joint: JointClosure) -> Page:
     """The report as a page."""
-    points = dict.fromkeys(c.record.declared.control_point for c in found.closures)
-    several = "s" if len(points) > 1 else ""
-    subtitle = f"Records {listed(found.names)}, control point{several} {listed(list(points))}"
-    causes = found.statement.not_effects
+    points = dict.fromkeys(c.record.declared.control_point for c in joint.closures)
+    plural = "s" if len(points) > 1 else ""
+    subtitle = f"Records {listed(joint.names)}, control point{plural} {listed(list(points))}"
+    causes = joint.statement.not_effects
     not_effects = Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])
     sections = sections_of({
         "Not an aerothermal effect": lambda: not_effects if causes else [],
-        "What each record adds": lambda: _evidence_section(found),
-        "Residuals side by side": lambda: _residuals_section(found),
-        "What would tell them apart": lambda: tell_apart_section(found.statement),
-        "Errors": lambda: _errors_section(found),
-        "Does it explain the records?": lambda: _adequacy_section(found),
-        "Parameters": lambda: _values_section(found),
-        "Causes fitted to all records": lambda: _candidates_section(found),
-        "Credibility": lambda: credibility_section(found.credibility.as_json()),
+        "What each record adds": lambda: _evidence_section(joint),
+        "Residuals side by side": lambda: _residuals_section(joint),
+        "What would tell them apart": lambda: tell_apart_section(joint.statement),
+        "Errors": lambda: _errors_section(joint),
+        "Does it explain the records?": lambda: _adequacy_section(joint),
+        "Parameters": lambda: _values_section(joint),
+        "Causes fitted to all records": lambda: _candidates_section(joint),
+        "Credibility": lambda: credibility_section(joint.credibility.as_json()),
     })  # fmt: skip
-    before, after = (found.pooled(p)["fit"] for p in ([c.before for c in found.closures], found.after))
+    before, after = (joint.pooled(p)["fit"] for p in ([c.before for c in joint.closures], joint.after))
     errors = f"RMSE over fitted data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after."
     return Page(
-        f"{len(found.closures)} records, jointly", subtitle, sections,
-        (found.in_words(), f"{found.certainty()} {errors}"),
-        [*found.remarks(), *found.warnings],
+        f"{len(joint.closures)} records, jointly", subtitle, sections,
+        (joint.in_words(), f"{joint.certainty()} {errors}"),
+        [*joint.remarks(), *joint.warnings],
     )  # fmt: skip
 
 
-def evidence_table(found: JointClosure) -> Table:
+def evidence_table(joint: JointClosure) -> Table:
     """What each record adds: its own finding, and its part of the joint scores."""
-    best, rival = found.search.best, found.search.rival
+    best, rival = joint.search.best, joint.search.rival
     against = "the next one" if rival is None else " + ".join(rival.names)
     columns: list[Column | str] = [
         "record", Column("point", is_text=True), Column("by itself", "alone", is_text=True),
@@ -153,19 +153,19 @@ def evidence_table(found: JointClosure) -> Table:
     ]  # fmt: skip
     rows: list[list[Any]] = [
         [e.record, e.point, finding_alone(e), e.for_cause, e.over_rival, e.agreement, e.verdict]
-        for e in found.search.evidence
+        for e in joint.search.evidence
     ]
     if best.model is not None:
         # of a record without the cause the score in the sum is that of its own explanation
         over = None if rival is None else rival.score - best.score
         common = None if rival is None else rival.common - best.common
         rows.append(["common", "", "", -best.common, common, None, ""])
-        rows.append(["together", "", found.named, -best.score, over, None, ""])
+        rows.append(["together", "", joint.named, -best.score, over, None, ""])
     cause = " + ".join(best.names) or "none"
     return Table(f"What each record adds: {cause}", columns, rows, strong=[len(rows) - 1])
 
 
-def _evidence_section(found: JointClosure) -> Section:
+def _evidence_section(joint: JointClosure) -> Section:
     text = [
         "Differences of BIC with the segments held out, above 0 where a record speaks for the cause, and where it "
         f"speaks for it rather than for the next one; {POLICY.min_gain:g} is what a finding needs. `common` is what "
@@ -173,40 +173,40 @@ def _evidence_section(found: JointClosure) -> Section:
         "the values of the others, and counts in the sum with what it shows by itself. The p-value is that of values "
         "of its own as far from the common ones.",
     ]
-    return Section("What each record adds", text, tables=[evidence_table(found)])
+    return Section("What each record adds", text, tables=[evidence_table(joint)])
 
 
-def _residuals_section(found: JointClosure) -> Section:
+def _residuals_section(joint: JointClosure) -> Section:
     """Residuals of the records side by side, derivatives fitted and with the cause."""
     charts: list[Chart] = []
-    picture = Picture(partial(residuals_figure, found), "Measured minus predicted, by record; held-out spans shaded.")
-    for closure, after in zip(found.closures, found.after, strict=True):
-        curves = _curves(found, closure, after)
+    picture = Picture(partial(residuals_figure, joint), "Measured minus predicted, by record; held-out spans shaded.")
+    for closure, after in zip(joint.closures, joint.after, strict=True):
+        curves = _curves(joint, closure, after)
         chart = fit_chart(closure.record, curves, picture, temperatures=False)
         charts.append(replace(chart, pictured=not charts))  # one picture shows them all
     return Section("Residuals side by side", charts=charts)
 
 
-def _curves(found: JointClosure, closure: Closure, after: Prediction) -> list[tuple[Prediction, str, str]]:
+def _curves(joint: JointClosure, closure: Closure, prediction: Prediction) -> list[tuple[Prediction, str, str]]:
     """What a record is compared with: prediction, colour and words of each."""
     curves = [(closure.before, BEFORE, "declared model fitted")]
-    cause = " + ".join(found.search.compared.names)
-    return curves if after is closure.before else [*curves, (after, AFTER, f"with {cause}")]
+    cause = " + ".join(joint.search.compared.names)
+    return curves if prediction is closure.before else [*curves, (prediction, AFTER, f"with {cause}")]
 
 
-def residuals_figure(found: JointClosure) -> Figure:
+def residuals_figure(joint: JointClosure) -> Figure:
     """Residuals of each record's used sensors [K], derivatives fitted and with the cause."""
-    count = len(found.closures)
+    count = len(joint.closures)
     figure, axes = new_figure(9.5, 2.2 * count + 0.6, count)
-    for a, closure, after in zip(axes, found.closures, found.after, strict=True):
+    for a, closure, after in zip(axes, joint.closures, joint.after, strict=True):
         record = closure.record
         judged = record.fit_mask() | record.holdout_mask()
-        curves = _curves(found, closure, after)
+        curves = _curves(joint, closure, after)
         for prediction, color, label in curves:
             for k, i in enumerate(i for i, s in enumerate(record.sensors) if s.used):
-                own = label if k == 0 else None
+                legend = label if k == 0 else None
                 a.plot(record.time_s[judged], prediction.residual_K[i][judged], ".", color=color, markersize=2.5,
-                       label=own, rasterized=True)  # fmt: skip
+                       label=legend, rasterized=True)  # fmt: skip
         a.axhline(0.0, color="0.3", linewidth=0.8)
         a.set_ylabel(f"{record.name}\nresidual, K")
         shade_holdout(a, record)
@@ -216,24 +216,24 @@ def residuals_figure(found: JointClosure) -> Figure:
     return figure
 
 
-def _errors_section(found: JointClosure) -> Section:
+def _errors_section(joint: JointClosure) -> Section:
     columns: list[Column | str] = [
         "record", Column("fitted, before, K", format=".2f"), Column("after, K", format=".2f"),
         Column("held out, before, K", format=".2f"), Column("held out, after, K", format=".2f"),
         Column("noise floor, K", format=".2f"),
     ]  # fmt: skip
     rows = []
-    for closure, after in zip(found.closures, found.after, strict=True):
+    for closure, after in zip(joint.closures, joint.after, strict=True):
         errors = [p.segment_errors()[segment] for segment in ("fit", "holdout") for p in (closure.before, after)]
         rows.append([closure.record.name, *(None if e is None else e["rmse_K"] for e in errors), closure.noise_floor_K])
     return Section("Errors", tables=[Table("RMSE of the plain march, by record.", columns, rows)])
 
 
-def _adequacy_section(found: JointClosure) -> Section:
-    best = found.search.best if found.statement.finding in ("found", "one of", "partly") else found.search.none
+def _adequacy_section(joint: JointClosure) -> Section:
+    best = joint.search.best if joint.statement.finding in ("found", "one of", "partly") else joint.search.none
     rows = [
         [name, a.chi2_fit, a.chi2_holdout, a.lag1, a.p_value]
-        for name, a in zip(found.names, best.adequacy_by_record, strict=True)
+        for name, a in zip(joint.names, best.adequacy_by_record, strict=True)
     ]
     columns: list[Column | str] = [
         "record", Column("chi-square, fitted", format=".2f"), Column("held out", format=".2f"),
@@ -243,27 +243,27 @@ def _adequacy_section(found: JointClosure) -> Section:
     return Section("Does it explain the records?", tables=[Table(text, columns, rows)])
 
 
-def _values_section(found: JointClosure) -> Section:
+def _values_section(joint: JointClosure) -> Section:
     """The cause's parameters: in common, and as each record gives them by itself."""
-    best = found.search.best
+    best = joint.search.best
     if best.model is None:
         return Section("Parameters", ["No cause was fitted."])
     columns: list[Column | str] = ["parameter", Column("whose", is_text=True), Column("together", is_text=True)]
-    columns += [Column(f"{e.record} alone", is_text=True) for e in found.search.evidence]
+    columns += [Column(f"{e.record} alone", is_text=True) for e in joint.search.evidence]
     whose = {"all": "all records", "point": "each point", RECORD: "each record"}
-    one_point = len({e.point for e in found.search.evidence}) == 1
-    only = found.names[best.members[0]] if len(best.members) == 1 else ""
+    one_point = len({e.point for e in joint.search.evidence}) == 1
+    only = joint.names[best.members[0]] if len(best.members) == 1 else ""
     rows = []
     for name in best.model.cause.candidate.names:
         level = best.model.levels[name]
-        together = [p for label, p in found.parameters.items() if label.partition(AT)[0] == name]
-        own = [e.own.get(name) for e in found.search.evidence]
+        common = [p for label, p in joint.parameters.items() if label.partition(AT)[0] == name]
+        alone = [e.own.get(name) for e in joint.search.evidence]
         rows.append([
             name, only or whose["all" if one_point and level != RECORD else level],
-            "; ".join(_bound(p.value, p.sigma) for p in together) or "-",
-            *("-" if o is None else _bound(*o) for o in own),
+            "; ".join(_bound(p.value, p.sigma) for p in common) or "-",
+            *("-" if o is None else _bound(*o) for o in alone),
         ])  # fmt: skip
-    exact = all(c.statement.model_error is None for c in found.closures)
+    exact = all(c.statement.model_error is None for c in joint.closures)
     bounds = "corrected for coloured residuals" if exact else "with the error of the models"
     text = (
         f"Values with one standard deviation; those together are {bounds}. Magnitude and derivatives of the heating "
@@ -276,10 +276,10 @@ def _bound(value: float, sigma: float) -> str:
     return f"{value:.5g} +- {sigma:.2g}" if np.isfinite(sigma) else f"{value:.5g}, not determined"
 
 
-def _candidates_section(found: JointClosure) -> Section:
-    levels = {" + ".join(h.names): h for h in found.search.hypotheses}
+def _candidates_section(joint: JointClosure) -> Section:
+    levels = {" + ".join(h.names): h for h in joint.search.hypotheses}
     rows = []
-    for c in sorted(found.candidates, key=lambda c: c.delta_bic):
+    for c in sorted(joint.candidates, key=lambda c: c.delta_bic):
         h = levels.get(c.name)
         note = "" if h is None else "; ".join(h.objections)
         score = 0.0 if h is None else h.score

@@ -32,73 +32,75 @@ ACTIVE = "#f9dcdc"
 SIGMAS = 2.0
 
 
-def comparison_figure(predicted: Prediction | None, before: Prediction, after: Prediction, effect: str) -> Figure:
+def comparison_figure(predicted: Prediction | None, declared: Prediction, final: Prediction, effect: str) -> Figure:
     """Measured against predicted temperatures of each used sensor: declared model, the same fitted, with effect."""
-    figure, axes = fit_figure(after.record, _compared(predicted, before, after, effect))
+    figure, axes = fit_figure(final.record, _compared(predicted, declared, final, effect))
     add_grid_and_title(figure, "", axes)
     return figure
 
 
-def comparison_chart(predicted: Prediction | None, before: Prediction, after: Prediction, effect: str) -> Chart:
+def comparison_chart(predicted: Prediction | None, declared: Prediction, final: Prediction, effect: str) -> Chart:
     """The chart of `comparison_figure`, which is the picture in its place."""
-    picture = Picture(partial(comparison_figure, predicted, before, after, effect), COMPARED)
-    return fit_chart(after.record, _compared(predicted, before, after, effect), picture)
+    picture = Picture(partial(comparison_figure, predicted, declared, final, effect), COMPARED)
+    return fit_chart(final.record, _compared(predicted, declared, final, effect), picture)
 
 
 def _compared(
-    predicted: Prediction | None, before: Prediction, after: Prediction, effect: str
+    predicted: Prediction | None, declared: Prediction, final: Prediction, effect: str
 ) -> list[tuple[Prediction, str, str]]:
     curves = [] if predicted is None else [(predicted, PREDICTED, "declared model")]
-    curves.append((before, BEFORE, "declared model fitted"))
-    if after is not before:
-        curves.append((after, AFTER, f"with {effect}"))
+    curves.append((declared, BEFORE, "declared model fitted"))
+    if final is not declared:
+        curves.append((final, AFTER, f"with {effect}"))
     return curves
 
 
-def heating_chart(before: ResidualHeating, after: ResidualHeating | None, evidence: ResidualEvidence) -> Chart:
+def heating_chart(declared: ResidualHeating, final: ResidualHeating | None, evidence: ResidualEvidence) -> Chart:
     """The residual as heating against time with its band, and the flight; `heating_figure` is the picture."""
-    shown = [(before, BEFORE, "declared model fitted")] + ([] if after is None else [(after, AFTER, "with the effect")])
+    shown = [(declared, BEFORE, "declared model fitted")] + (
+        [] if final is None else [(final, AFTER, "with the effect")]
+    )
     curves = [Curve(label, r.time_s, r.delta_ratio, color, sigma=r.sigma) for r, color, label in shown]
     limits = np.array([_limits(r) for r, _, _ in shown])
     missing = Panel(
-        f"missing {before.quantity}", curves, zero=True, limits=(float(limits[:, 0].min()), float(limits[:, 1].max()))
+        f"missing {declared.quantity}", curves, zero=True, limits=(float(limits[:, 0].min()), float(limits[:, 1].max()))
     )
-    picture = Picture(partial(heating_figure, before, after, evidence), f"Missing {before.quantity} against time.")
-    spans = [Span(s.start_s, s.end_s, "active", ACTIVE) for s in evidence.active] + record_spans(before.record)
-    shaded = [shades(before.record), "Red: the residual is active." if evidence.active else ""]
-    caption = " ".join([f"Missing {before.quantity} against time; bands: {SIGMAS:g} sigma.", *filter(None, shaded)])
-    panels = [missing, *flown_panels(before.record.conditions)]
-    return Chart("Residual as heating", panels, caption, before.span_s, spans, picture)
+    picture = Picture(partial(heating_figure, declared, final, evidence), f"Missing {declared.quantity} against time.")
+    spans = [Span(s.start_s, s.end_s, "active", ACTIVE) for s in evidence.active] + record_spans(declared.record)
+    shaded = [shades(declared.record), "Red: the residual is active." if evidence.active else ""]
+    caption = " ".join([f"Missing {declared.quantity} against time; bands: {SIGMAS:g} sigma.", *filter(None, shaded)])
+    panels = [missing, *flown_panels(declared.record.conditions)]
+    return Chart("Residual as heating", panels, caption, declared.span_s, spans, picture)
 
 
-def heating_figure(before: ResidualHeating, after: ResidualHeating | None, evidence: ResidualEvidence) -> Figure:
+def heating_figure(declared: ResidualHeating, final: ResidualHeating | None, evidence: ResidualEvidence) -> Figure:
     """The residual as a heating ratio against time, with the angles that changed."""
-    flown = before.record.conditions.at(before.time_s)
+    flown = declared.record.conditions.at(declared.time_s)
     changed = [name for name in ANGLES if np.ptp(flown[name]) > 0.5]
     if changed:
         figure, axes = new_figure(9.5, 6.0, 2, sharex=True, height_ratios=[2.0, 1.0])
     else:
         figure, axes = new_figure(9.5, 4.0, 1)
-    shown = [before] if after is None else [before, after]
+    shown = [declared] if final is None else [declared, final]
     limits = np.array([_limits(residual) for residual in shown])
     axes[0].set_ylim(limits[:, 0].min(), limits[:, 1].max())
-    _band(axes[0], before, BEFORE, "declared model fitted")
-    if after is not None:
-        _band(axes[0], after, AFTER, "with the effect")
+    _band(axes[0], declared, BEFORE, "declared model fitted")
+    if final is not None:
+        _band(axes[0], final, AFTER, "with the effect")
     axes[0].axhline(0.0, color="0.3", linewidth=0.8)
     for span in evidence.active:
         axes[0].axvspan(span.start_s, span.end_s, ymax=0.03, color="tab:red", linewidth=0)
-    axes[0].set_ylabel(f"missing {before.quantity}")
+    axes[0].set_ylabel(f"missing {declared.quantity}")
     axes[0].legend(fontsize=8, loc="best")
     for name in changed:
         label, color = ANGLES[name]
-        axes[1].plot(before.time_s, flown[name], color=color, label=label, linewidth=1.1)
+        axes[1].plot(declared.time_s, flown[name], color=color, label=label, linewidth=1.1)
     if changed:
         axes[1].set_ylabel("deg")
         axes[1].legend(fontsize=8, loc="best", ncols=4)
     for a in axes:
-        shade_holdout(a, before.record)
-    axes[-1].set_xlim(*before.span_s)
+        shade_holdout(a, declared.record)
+    axes[-1].set_xlim(*declared.span_s)
     axes[-1].set_xlabel("time, s; band: 2 sigma; red at the foot: active")
     add_grid_and_title(figure, "", axes)
     return figure

@@ -11,25 +11,27 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.report.chart import Chart, Curve, Panel, Span, decimated
 from sim_heating.base.report.page import Page, Section, write_page
-from sim_heating.closure.report import closures_table
+from sim_heating.closure.report.record import closures_table
 from sim_heating.closure.result import PAGE, Closure
 from sim_heating.estimation.report.plots import AFTER, BEFORE
 from sim_heating.simulation.report.charts import SHADES, record_spans, residual_limits, shown_span
 
-INTERVALS = 200
-"""Intervals of time of the residuals that are kept of each record."""
 
+def residual_history(closure: Closure, *, intervals: int = 200) -> dict[str, Any]:
+    """Residuals of a record's used sensors before and after, decimated, as plain values for `batch_page`.
 
-def residual_history(found: Closure) -> dict[str, Any]:
-    """Residuals of a record's used sensors before and after, decimated, as plain values for `batch_page`."""
-    record = found.record
+    intervals : of time, of each of which the least, the median and the greatest residual are kept
+    """
+    record = closure.record
     curves = []
-    stages = [("before", found.before, BEFORE)] + ([("after", found.after, AFTER)] if found.added else [])
+    stages = [("before", closure.before, BEFORE)] + ([("after", closure.after, AFTER)] if closure.added else [])
     for i, sensor in enumerate(record.sensors):
         if sensor.used:
-            fitted = residual_limits((found.after if found.added else found.before).residual_K[i][record.fit_mask()])
+            fitted = residual_limits(
+                (closure.after if closure.added else closure.before).residual_K[i][record.fit_mask()]
+            )
             for label, prediction, color in stages:
-                kept = decimated(record.time_s, prediction.residual_K[i], INTERVALS, middle=True)
+                kept = decimated(record.time_s, prediction.residual_K[i], intervals, middle=True)
                 kept = kept[np.isfinite(prediction.residual_K[i][kept])]
                 curves.append(
                     {
@@ -73,7 +75,7 @@ def batch_page(
             "" if len(worst) == len(done) else f" of the {len(worst)} records of {len(done)} farthest above their noise"
         )
         text = (
-            f"Measured minus predicted{which}, by the least, the median and the greatest value in each of {INTERVALS} "
+            f"Measured minus predicted{which}, by the least, the median and the greatest value in short "
             f"intervals of time; the page of a record has more. {SHADES}"
         )
         sections.append(Section("Residuals side by side", [text], charts=charts))
