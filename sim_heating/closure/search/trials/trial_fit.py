@@ -39,6 +39,7 @@ from sim_heating.estimation.inference.error_likelihood import (
     innovations,
     model_error,
     noise_error,
+    parameter_root_K,
 )
 from sim_heating.estimation.inference.likelihood import log_likelihood
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
@@ -160,8 +161,33 @@ class TrialFit:
         """
         if self.held_out is None:
             return []
-        part = self.held_out.record_fits[0]
-        return innovations(part, self.held_out.samples(self.fit.values), self._predicted[1])[0]
+        return innovations(self.held_out.record_fits[0], self._held_out_plain, self.known_error)[0]
+
+    @cached_property
+    def _held_out_plain(self) -> list[PredictedSamples]:
+        """The samples held out, predicted without an error; none where there are none.
+
+        raises : RunError where they cannot be marched
+        """
+        return [] if self.held_out is None else self.held_out.samples(self.fit.values)
+
+    @property
+    def has_error(self) -> bool:
+        """Whether heating or flight of its model have an error, and not only noise."""
+        error = self.problem.record_fits[0].model_error
+        return error is not None and not error.is_noise_alone
+
+    @property
+    def _held_out_integrated(self) -> list[PredictedSamples]:
+        """The samples held out, predicted from the fitted ones and as uncertain as the parameters are.
+
+        raises : RunError where they cannot be marched
+        """
+        assert self.held_out is not None  # asked for where there are any
+        others = self._held_out_plain
+        known = np.where(np.outer(~self.fit.on_bound, ~self.fit.on_bound), self.fit.covariance, 0.0)
+        root_K = parameter_root_K(self.fitted_samples, others, known)
+        return innovations(self.held_out.record_fits[0], others, self.known_error, root_K)[0]
 
     @cached_property
     def excess_chi2(self) -> float:
@@ -175,14 +201,18 @@ class TrialFit:
 
     @cached_property
     def held_out_log_likelihood(self) -> float:
-        """Log likelihood of the samples held out, at the estimates; minus infinity where they cannot be marched."""
+        """Log likelihood of the samples held out, at the estimates; minus infinity where they cannot be marched.
+
+        Of a model with an error the parameters are integrated out: what they leave open, the error of a model that has
+        fewer of them leaves open as well.
+        """
         if self.held_out is None:
             return 0.0
         if self.held_out.record_fits[0].model_error is None:
             total = self.held_out.evaluate(self.fit.values).log_likelihood
         else:
             try:
-                samples = self.held_out_samples
+                samples = self._held_out_integrated if self.has_error else self.held_out_samples
             except RunError:
                 return -np.inf
             known = self.held_out.record_fits[0].known_log_likelihood
