@@ -184,19 +184,20 @@ class ScoredReadings:
         information = weighed.T @ sensitivity
         if self.root is None:
             return information
-        lost = self._taken_up @ sensitivity
+        weighed_root, lower = self._taken_up
+        lost = solve_triangular(lower, weighed_root.T @ sensitivity, lower=True)
         return np.asarray(information - lost.T @ lost)
 
     @cached_property
-    def _taken_up(self) -> FloatArray:
-        """(unknown, reading) C^-1 G' W with the lower root C of 1 + G' W G [1/K], what the error takes up.
+    def _taken_up(self) -> tuple[FloatArray, FloatArray]:
+        """(reading, unknown) W G [1/K] and the lower root C of 1 + G' W G [-]: the error takes up C^-1 G' W.
 
         W of a word may be above R^-1: with the root of 1 + G' R^-1 G the information would not be that of any error.
         """
         assert self.root is not None  # asked for with an error only
         weighed = self.root * self.weight[:, np.newaxis]
-        lower = np.linalg.cholesky(np.eye(self.root.shape[1]) + self.root.T @ weighed)
-        return np.asarray(solve_triangular(lower, weighed.T, lower=True))
+        lower: FloatArray = np.asarray(np.linalg.cholesky(np.eye(self.root.shape[1]) + self.root.T @ weighed))
+        return weighed, lower
 
 
 def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> ScoredReadings:

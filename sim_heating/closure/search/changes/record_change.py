@@ -234,7 +234,7 @@ def problem_over(
     part : of the base's, with noise and mesh correction;  names : of the unknowns
     """
     more = {"sample_masks": [record.holdout_mask()]} if held_out else {}
-    return candidate_problem(base, replace(part, record=record), NO_EFFECT, names, prior_scale=WIDENED, **more)
+    return candidate_problem(base, part, NO_EFFECT, names, record, prior_scale=WIDENED, **more)
 
 
 def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, moved: FittedChannel) -> FloatArray:

@@ -477,14 +477,21 @@ def _names(base: TrialFit, candidate: Candidate) -> tuple[str, ...]:
 
 
 def candidate_problem(
-    base: TrialFit, part: RecordFit, candidate: Candidate, names: Sequence[str], **more: Any
+    base: TrialFit,
+    part: RecordFit,
+    candidate: Candidate,
+    names: Sequence[str],
+    record: Record | None = None,
+    **more: Any,
 ) -> FitProblem:
     """A part of the base with the effects found so far and those of a candidate.
 
     Its noise and mesh correction are the base's, as are the bounds of the clock and the priors of the table, unless the
     candidate has others.
     part : the base's part over the fitted or held-out samples;  names : of all estimated parameters
+    record : where it is changed; that of the part by default
     """
+    record = record or part.record
     uses = (*fitted_effects(base), *candidate.uses)
     priors: dict[str, Parameter] = dict(base.problem.priors)
     if CLOCK_SKEW.name in candidate.names:
@@ -492,16 +499,16 @@ def candidate_problem(
     priors |= candidate.priors
     more |= {"effects": uses, "priors": priors, **THINNED_STEPS}
     plain = [n for n in names if n not in part.flight_names]
-    problem = FitProblem([part.record], plain, base.problem.reference, FitOptions(**more))
+    problem = FitProblem([record], plain, base.problem.reference, FitOptions(**more))
     # The noise of the base: likelihoods of candidates are compared, and noise fitted to each would absorb what one of
     # them explains.
     own = problem.record_fits[0]
     own.sigma_K.update(part.sigma_K)
     own.known_log_likelihood = part.known_log_likelihood
     # a record without the readings of a broken sensor may have fewer times
-    correction = np.broadcast_to(part.correction_K, (len(part.record.sensors), len(part.sample_s)))
+    correction = np.broadcast_to(part.correction_K, (len(record.sensors), len(part.sample_s)))
     own.correction_K = correction[:, np.isin(part.sample_s, own.sample_s)]
-    own.model_error = part.model_error
+    own.take_error(part)
     return problem.with_flight_unknowns() if part.flight_names else problem
 
 
