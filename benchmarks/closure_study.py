@@ -104,6 +104,12 @@ def names_all(row: Row) -> bool:
     return row["finding"] in NAMED and explains(things(row), truth_of(row))
 
 
+def tells_all(row: Row) -> bool:
+    """Whether every true cause is in what is stated or resembled, and nothing else is."""
+    partly = row["finding"] == "partly" and bool(row["alternatives"])
+    return names_all(row) or (partly and explains(things({**row, "finding": "one of"}), truth_of(row)))
+
+
 def probability_of(row: Row) -> float:
     """The calibrated probability that is stated; else that of the other classes, NaN where there is none."""
     return float(row["probability"] if row.get("calibrated") else row.get("of_other_classes", math.nan))
@@ -133,6 +139,7 @@ def study_figures(rows: Sequence[Row]) -> list[Figure]:
     for world in ("exact", "imperfect"):
         some = [r for r in one if world_of(r) == world]
         figures += share_of(f"one cause worth {LEAST_EVIDENCE:g} or more, {world}: stated", some, names_all, 0.85)
+        figures += share_of(f"the same, {world}: stated or resembled", some, tells_all, 0.85)
     figures += [
         *share_of(f"the same, both: wrong at {SURE} or more", one, sure_and_wrong, 0.02, False),
         *share_of("the same, both: wrong and `found`", one, wrong_found, 0.02, False),

@@ -251,10 +251,10 @@ class Statement:
         if self.finding == PARTLY:
             odds = self.improbable
             why = "" if odds is None else f", as it is right with a probability of {_percent(odds)} only"
-            lines.append(
-                f"It explains {100.0 * min(self.explained, 1.0):.0f} % of what the declared model leaves above noise, "
-                f"and is not stated as the cause{why}; the errors after are those with it."
-            )
+            part = f"It explains {100.0 * min(self.explained, 1.0):.0f} % of what the declared model leaves above noise"
+            if self.model_error is not None:
+                part = "The evidence is for it, where each model has an error of its own"
+            lines.append(f"{part}, and is not stated as the cause{why}; the errors after are those with it.")
         if self.model_error is not None:
             lines.append(self.model_error.in_words())
             if self.finding in (FOUND, ONE_OF, NONE):

@@ -163,6 +163,21 @@ class RecordFit:
         S, F = self.error_responses_K
         return np.column_stack([error.sigma * S @ error.correlation_root, F])
 
+    def take_error(self, other: RecordFit) -> None:
+        """Give the record the error of another fit's model, with its roots where both have the same readings.
+
+        other : over the same or another record; its responses are in [K]
+
+        Roots of docs/theory/model_error.md, equations 1 and 3: they follow from the places and the noise of the
+        readings, whatever the model.
+        """
+        self.model_error = other.model_error
+        if other.model_error is None or self.flight_names != other.flight_names:
+            return
+        places, others = ([(c.number, r.sample_s[c.samples].tolist()) for c in r.channels] for r in (self, other))
+        if places == others and np.array_equal(self.reading_noise_K, other.reading_noise_K):
+            self.error_root_K, self.error_factor = other.error_root_K, other.error_factor
+
     @property
     def error_responses_K(self) -> tuple[FloatArray, FloatArray]:
         """(reading, knot) response of all channels to the error of the heating, and (reading, unknown) to all else [K].

@@ -196,6 +196,9 @@ def test_figures_of_the_study_are_of_causes_that_the_noise_leaves_visible():
     figures = {f.what: f for f in study_figures([right_transition(6.8), hidden])}
     assert figures["one cause worth 5 or more, exact: stated"].note.startswith("1 of 1")
     assert "statements" in study_text([right_transition(6.8), hidden])
+    partly = {f.what: f for f in study_figures([right_transition(6.8), right_transition(6.8, finding="partly")])}
+    assert partly["one cause worth 5 or more, exact: stated"].note.startswith("1 of 2")
+    assert partly["the same, exact: stated or resembled"].note.startswith("2 of 2")
 
 
 def test_a_report_that_names_a_cause_and_does_not_explain_it_contradicts_itself():

@@ -15,12 +15,13 @@ from sim_heating.closure.curves import curve_trials
 from sim_heating.closure.report.record import write_closure
 from sim_heating.closure.result import NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.search.admissibility import objections
-from sim_heating.closure.search.hypothesis import Hypothesis, conclude
+from sim_heating.closure.search.hypothesis import NOT_PREDICTED, Hypothesis, conclude, fitted_anew
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import base_trial
 from sim_heating.closure.verdict.adequacy import Adequacy, assess, p_value
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.inference.model_error import ErrorSize
 from sim_heating.estimation.inference.newton import Status
 from sim_heating.heating.effects import use
 from sim_heating.heating.effects.curve import VALUES, curve_band
@@ -161,6 +162,25 @@ def test_an_inadmissible_form_is_disqualified_however_well_it_fits() -> None:
     found = conclude(none, [renamed(best, "coating-thickness", -500.0), better])
     assert found.alternatives == (("coating-thickness",),)
     assert conclude(none, [better]).finding == "unknown"
+
+
+def test_an_error_of_the_model_leaves_it_to_the_evidence_what_is_resembled() -> None:
+    none = searched().none
+    size = ErrorSize(np.array([0.05]), np.array([200.0]), np.zeros((1, 1)), np.zeros((1, 1)))
+    other = renamed(none, "transition", -50.0)  # explains nothing of the excess chi-square
+    assert not other.adequate
+    assert conclude(none, [other]).finding == "unknown"
+    with_error = replace(other, trials=(replace(other.last, size=size),))
+    found = conclude(none, [with_error])
+    assert (found.finding, found.alternatives) == ("partly", (("transition",),))
+
+
+def test_objections_are_to_the_last_fit_of_a_hypothesis() -> None:
+    best = searched().conclusion.best
+    before = replace(best, objections=(NOT_PREDICTED[0], "its fit did not converge"))
+    assert fitted_anew(before, best.last).objections == ()
+    stopped = replace(best.last, fit=replace(best.last.fit, status=Status.ITERATIONS, predicted_gain=5.0))
+    assert fitted_anew(best, stopped).objections == ("its fit did not converge",)
 
 
 def test_a_finding_that_leaves_many_noise_floors_says_what_it_resembles() -> None:

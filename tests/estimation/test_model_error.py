@@ -9,7 +9,13 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from sim_heating.closure.prior.model_error import flight_error
-from sim_heating.estimation.inference.error_likelihood import error_size, innovations, model_error
+from sim_heating.estimation.inference.error_likelihood import (
+    error_size,
+    innovations,
+    model_error,
+    parameter_root_K,
+    scored_readings,
+)
 from sim_heating.estimation.inference.likelihood import log_likelihood
 from sim_heating.estimation.inference.model_error import HeatingErrorPrior
 from sim_heating.estimation.problem import FitProblem
@@ -87,13 +93,25 @@ def test_gradient_of_rounded_readings_is_that_of_their_likelihood(of_words, at):
     )
 
 
+@pytest.mark.parametrize("width", [1.0, 6.0, 20.0])
+def test_the_error_is_the_most_probable_one_whatever_the_width_of_a_word(of_words, width):
+    part = replace(of_words.record_fits[0], sigma_K={})
+    part.sigma_K.update({c.number: c.sensor.lsb_K / width for c in part.channels})
+    found = scored_readings(part, [s.mean_K for s in of_words.samples(AT)])
+    # the score of the sum in units of the standard deviations of u
+    left = np.linalg.solve(part.error_factor[0], part.error_root_K.T @ found.score - found.error)
+    assert np.linalg.norm(left) < 0.01
+
+
 def test_innovations_have_the_same_likelihood_together(problem):
     samples = problem.innovations(AT)
     each = [np.sum(log_likelihood(s.channel.intervals, s.mean_K, s.spread_K)) for s in samples]
     assert sum(each) == pytest.approx(problem.evaluate(AT).log_likelihood, rel=1e-9)
 
 
-def test_readings_held_out_are_predicted_as_by_the_conditional_normal(problem):
+@pytest.fixture(scope="module")
+def halves(problem):
+    """The problem over the earlier and over the later half of its readings."""
     record = problem.record_fits[0].record
     early = record.fit_mask() & (record.time_s < np.median(record.time_s[record.fit_mask()]))
     parts = []
@@ -102,12 +120,33 @@ def test_readings_held_out_are_predicted_as_by_the_conditional_normal(problem):
             [record], ["ratio.scale", "ratio.d_alpha"], REFERENCE, replace(problem.options, sample_masks=[mask])
         )
         parts.append(half.with_model_error(problem.record_fits[0].model_error))
-    first, second = parts
+    return parts
+
+
+def test_readings_held_out_are_predicted_as_by_the_conditional_normal(problem, halves):
+    first, second = halves
     _, state = innovations(first.record_fits[0], first.samples(AT))
     predicted = innovations(second.record_fits[0], second.samples(AT), state)[0]
     each = sum(float(np.sum(log_likelihood(s.channel.intervals, s.mean_K, s.spread_K))) for s in predicted)
     joint = problem.evaluate(AT).log_likelihood - first.evaluate(AT).log_likelihood
     assert each == pytest.approx(joint, abs=0.02)  # marches of two halves divide their steps each by themselves
+
+
+def test_readings_held_out_are_as_uncertain_as_the_parameters_are(halves):
+    first, second = halves
+    fitted, others = first.samples(AT), second.samples(AT)
+    variances = np.array([[4e-4, 1e-6], [1e-6, 1e-8]])
+    _, state = innovations(first.record_fits[0], fitted)
+    root_K = parameter_root_K(fitted, others, variances)
+    predicted = innovations(second.record_fits[0], others, state, root_K)[0]
+    found = sum(float(np.sum(log_likelihood(s.channel.intervals, s.mean_K, s.spread_K))) for s in predicted)
+    (residual, here), (left, there) = dense(first, AT), dense(second, AT)
+    across = second.record_fits[0].error_root_K @ first.record_fits[0].error_root_K.T
+    J, J_there = (np.concatenate([s.sensitivity for s in samples]) for samples in (fitted, others))
+    moved = J_there - across @ np.linalg.solve(here, J)
+    covariance = there - across @ np.linalg.solve(here, across.T) + moved @ variances @ moved.T
+    mean = across @ np.linalg.solve(here, residual)
+    assert found == pytest.approx(multivariate_normal(mean, covariance).logpdf(left), rel=1e-9)
 
 
 def test_without_an_error_the_likelihood_is_as_it_was():

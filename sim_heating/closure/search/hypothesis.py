@@ -11,6 +11,7 @@ that one common value is cheaper than two of their own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -33,6 +34,11 @@ from sim_heating.estimation.inference.newton import Fit
 TWINS = frozenset({"thickness_factor", "heat_capacity_factor"}), frozenset({CLOCK_SKEW.name, COMMON_LAG.name})
 """Parameters of one thing that act nearly alike: of a layer below the coating, whose thickness moves no thermocouple by
 much; a clock that is late, and thermocouples that lag."""
+NOT_PREDICTED = (
+    "it predicts the segments held out worse than the declared model",
+    "it explains what the fitted segments show, and nothing of those held out",
+)
+"""What the segments held out say against a hypothesis."""
 
 
 def adequacy_of(trial: TrialFit, members: int = 1) -> Adequacy:
@@ -198,9 +204,29 @@ def hypothesis(trials: Sequence[TrialFit], forms: Mapping[str, int]) -> Hypothes
     trials : effects, each on top of those before;  forms : number of forms of each effect that were tried
     """
     price = sum(2.0 * float(np.log(max(forms.get(t.name, 1), 1))) for t in trials if t.name != "none")
-    against = () if trials[-1].name == "none" else objections(trials[-1], [t.candidate for t in trials])
-    far = [line for t in trials if t.name != "none" for line in far_from_declared(trials[-1], t.candidate)]
-    return _with_far(Hypothesis(tuple(trials), None, against, price), far)
+    return _with_objections(Hypothesis(tuple(trials), None, (), price))
+
+
+def fitted_anew(h: Hypothesis, trial: TrialFit) -> Hypothesis:
+    """A hypothesis whose parameters are fitted anew, with the objections to it as it is then.
+
+    trial : the last one, of this fit
+
+    What a prediction of the segments held out says against it is told by `scored`. Of a changed record the change is as
+    it was, with what speaks against it.
+    """
+    anew = replace(h, trials=(*h.trials[:-1], trial))
+    if h.change is None:
+        return _with_objections(anew)
+    return replace(anew, objections=tuple(line for line in h.objections if line not in NOT_PREDICTED))
+
+
+def _with_objections(h: Hypothesis) -> Hypothesis:
+    """A hypothesis of effects with the objections to their values."""
+    named = [t for t in h.trials if t.name != "none"]
+    against = () if h.last.name == "none" else objections(h.last, [t.candidate for t in h.trials])
+    far = [line for t in named for line in far_from_declared(h.last, t.candidate)]
+    return _with_far(replace(h, objections=against), far)
 
 
 def change_hypothesis(
@@ -317,18 +343,21 @@ def _not_predicted(none: Hypothesis, h: Hypothesis, scale: float) -> list[str]:
     scale : of their residuals, as a chi-square
 
     A cause predicts them no worse than the declared model, by one in log density, and better where what it explains of
-    the fitted segments promises a gain of three.
+    the fitted segments promises a gain of three. Models with an error promise nothing, as the error of either takes up
+    what they leave, and their densities scatter: the odds have to tell them apart.
     """
     trial, declared = h.last, none.last
     if trial.held_out is None or declared.held_out is None or declared.held_out_chi2 == 0.0:
         return []
     gained = (trial.held_out_log_likelihood - declared.held_out_log_likelihood) / scale
+    if trial.has_error:
+        return [] if gained >= -math.log(POLICY.odds_apart) else [NOT_PREDICTED[0]]
     if not gained >= -POLICY.held_out_gain:
-        return ["it predicts the segments held out worse than the declared model"]
+        return [NOT_PREDICTED[0]]
     excess = 0.5 * sample_count(trial.held_out) * max(declared.held_out_chi2 - 1.0, 0.0) / scale
     explained = (none.excess_chi2 - h.excess_chi2) / none.excess_chi2 if none.excess_chi2 > 0.0 else 0.0
     if min(max(explained, 0.0), 1.0) * excess >= POLICY.promised_gain and gained < POLICY.held_out_gain:
-        return ["it explains what the fitted segments show, and nothing of those held out"]
+        return [NOT_PREDICTED[1]]
     return []
 
 
@@ -422,7 +451,8 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     if best.adequate and _small_error(best):
         is_set = any(len(slot) > 1 for slot in alternatives)
         return Conclusion("one of" if is_set else "found", best, alternatives, rival, fraction, beaten)
-    if fraction >= POLICY.min_explained:
+    # the error of either model takes up the rest: what a cause explains is told by its evidence over the declared model
+    if fraction >= POLICY.min_explained or best.last.size is not None:
         return Conclusion("partly", best, alternatives, rival, fraction, beaten)
     return Conclusion("unknown", best, (), rival, fraction, beaten)
 

@@ -43,6 +43,7 @@ from sim_heating.closure.search.hypothesis import (
     Hypothesis,
     change_hypothesis,
     conclude,
+    fitted_anew,
     hypothesis,
     scored,
     with_one_more,
@@ -171,9 +172,7 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
         : EFFORT.compared
     ]
     trials = in_processes([partial(with_own_error, h.last) for h in (none, *leading)])
-    none, *judged = (
-        replace(h, trials=(*h.trials[:-1], trial)) for h, trial in zip((none, *leading), trials, strict=True)
-    )
+    none, *judged = (fitted_anew(h, trial) for h, trial in zip((none, *leading), trials, strict=True))
     return none, scored(none, judged)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import block_diag, cho_solve, solve_triangular
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
@@ -37,6 +37,8 @@ KNOTS_A_TIME = 4.0
 SETTLED, MOST_STEPS = 1e-3, 50
 """Change of u, in its standard deviations given the readings, at which the inner iteration has converged [-], and its
 most steps."""
+MEMORY = 8
+"""Steps that the curvature of the inner iteration is taken from."""
 TOGETHER = 64
 """Readings that the filter takes at a time."""
 
@@ -182,19 +184,20 @@ class ScoredReadings:
         information = weighed.T @ sensitivity
         if self.root is None:
             return information
-        lost = self._taken_up @ sensitivity
+        weighed_root, lower = self._taken_up
+        lost = solve_triangular(lower, weighed_root.T @ sensitivity, lower=True)
         return np.asarray(information - lost.T @ lost)
 
     @cached_property
-    def _taken_up(self) -> FloatArray:
-        """(unknown, reading) C^-1 G' W with the lower root C of 1 + G' W G [1/K], what the error takes up.
+    def _taken_up(self) -> tuple[FloatArray, FloatArray]:
+        """(reading, unknown) W G [1/K] and the lower root C of 1 + G' W G [-]: the error takes up C^-1 G' W.
 
         W of a word may be above R^-1: with the root of 1 + G' R^-1 G the information would not be that of any error.
         """
         assert self.root is not None  # asked for with an error only
         weighed = self.root * self.weight[:, np.newaxis]
-        lower = np.linalg.cholesky(np.eye(self.root.shape[1]) + self.root.T @ weighed)
-        return np.asarray(solve_triangular(lower, weighed.T, lower=True))
+        lower: FloatArray = np.asarray(np.linalg.cholesky(np.eye(self.root.shape[1]) + self.root.T @ weighed))
+        return weighed, lower
 
 
 def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> ScoredReadings:
@@ -202,9 +205,11 @@ def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> Sco
 
     means_K : by channel of the record, (reading,) predictions without an error [K]
 
-    One step finds the most probable error of readings that are not rounded; the others take some more. Source:
-    docs/theory/model_error.md, equations 3 and 4; without an error docs/theory/estimation_statistics.md, equations 3 to
-    6.
+    One step finds the most probable error of readings that are not rounded. Others take more: the information of a word
+    depends on where in its span the prediction lies, and R^-1 is far from it where the span is several times the noise.
+    Steps then follow from the gradients of those before (BFGS with limited memory; Nocedal & Wright, Numerical
+    Optimization, 2nd ed., algorithm 7.4). Source: docs/theory/model_error.md, equations 3 and 4; without an error
+    docs/theory/estimation_statistics.md, equations 3 to 6.
     """
     G = record_fit.error_root_K
     if G is None:
@@ -215,25 +220,55 @@ def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> Sco
         total, score, weight = _scored(record_fit, [m + d for m, d in zip(means_K, np.split(G @ u, ends), strict=True)])
         return total - 0.5 * float(u @ u), score, weight
 
+    # in x = C' u, with the lower root C of 1 + G' R^-1 G, the sum has a curvature near that of the identity
     lower, volume = record_fit.error_factor
     u = np.zeros(G.shape[1])
     total, score, weight = at(u)
-    for _ in range(MOST_STEPS if np.isfinite(total) else 0):
-        step = cho_solve((lower, True), G.T @ score - u)
-        there = at(u + step)
+    if not np.isfinite(total):
+        return ScoredReadings(total + volume, score, weight, G, u)
+    history, gradient = _Steps([], []), solve_triangular(lower, G.T @ score - u, lower=True)
+    for _ in range(MOST_STEPS):
+        step = history.ascent(gradient)
+        moved = u + solve_triangular(lower, step, lower=True, trans="T")
+        there = at(moved)
         # the sum is concave in u: a shorter step raises it
-        while there[0] < total and _size(lower, step) > SETTLED:
+        while there[0] < total and np.linalg.norm(step) > SETTLED:
             step = 0.5 * step
-            there = at(u + step)
-        u, (total, score, weight) = u + step, there
-        if _size(lower, step) < SETTLED:
+            moved = u + solve_triangular(lower, step, lower=True, trans="T")
+            there = at(moved)
+        u, (total, score, weight), before = moved, there, gradient
+        if np.linalg.norm(step) < SETTLED:
             break
+        gradient = solve_triangular(lower, G.T @ score - u, lower=True)
+        history.add(step, before - gradient)
     return ScoredReadings(total + volume, score, weight, G, u)
 
 
-def _size(lower: FloatArray, step: FloatArray) -> float:
-    """Length of a step of u in its standard deviations given the readings [-]."""
-    return float(np.linalg.norm(lower.T @ step))
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """The last steps of a maximisation, each with the decrease of the gradient over it, the latest last."""
+
+    steps: list[FloatArray]
+    decreases: list[FloatArray]
+
+    def add(self, step: FloatArray, decrease: FloatArray) -> None:
+        """One step more; nothing where the gradient does not decrease along it."""
+        if step @ decrease > 0.0:
+            self.steps.append(step)
+            self.decreases.append(decrease)
+
+    def ascent(self, gradient: FloatArray) -> FloatArray:
+        """The next step: the gradient, times the inverse of the curvature that the last steps show."""
+        pairs, taken, step = list(zip(self.steps, self.decreases, strict=True))[-MEMORY:], [], gradient
+        for s, y in reversed(pairs):
+            taken.append(float(s @ step) / float(s @ y))
+            step = step - taken[-1] * y
+        if pairs:
+            s, y = pairs[-1]
+            step = step * (float(s @ y) / float(y @ y))
+        for (s, y), a in zip(pairs, reversed(taken), strict=True):
+            step = step + s * (a - float(y @ step) / float(s @ y))
+        return step
 
 
 def _scored(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> tuple[float, FloatArray, FloatArray]:
@@ -256,12 +291,16 @@ class ErrorState:
 
 
 def innovations(
-    record_fit: RecordFit, samples: Sequence[PredictedSamples], state: ErrorState | None = None
+    record_fit: RecordFit,
+    samples: Sequence[PredictedSamples],
+    state: ErrorState | None = None,
+    root_K: FloatArray | None = None,
 ) -> tuple[list[PredictedSamples], ErrorState | None]:
     """Predictions of the readings of one record, each from those before it, and what is then known of its error.
 
     record_fit : the record with its error;  samples : its channels, predicted without an error
     state      : from readings before; None for the prior
+    root_K     : as in `innovations_of_several`
     returns    : channels with the mean and the standard deviation that the readings before give [K]; as they are
                  without an error
 
@@ -269,16 +308,20 @@ def innovations(
     """
     if record_fit.error_root_K is None:
         return list(samples), None
-    (predicted,), error_state = innovations_of_several(record_fit, [samples], state)
+    (predicted,), error_state = innovations_of_several(record_fit, [samples], state, root_K)
     return predicted, error_state
 
 
 def innovations_of_several(
-    record_fit: RecordFit, sets: Sequence[Sequence[PredictedSamples]], state: ErrorState | None = None
+    record_fit: RecordFit,
+    sets: Sequence[Sequence[PredictedSamples]],
+    state: ErrorState | None = None,
+    root_K: FloatArray | None = None,
 ) -> tuple[list[list[PredictedSamples]], ErrorState]:
     """Predictions of several sets of readings of one record, each from those before it; nothing else differs.
 
     sets    : of readings, each its channels;  state : from readings before, with means (unknown, set)
+    root_K  : (reading, unknown) of more unknowns than those of the error, which are N(0, 1) before any of the sets [K]
     returns : by set, channels with mean and standard deviation [K]; what is then known of the error
 
     A reading at an end of a word's span in any set informs none. Source: docs/theory/model_error.md, equation 6.
@@ -291,6 +334,9 @@ def innovations_of_several(
     n = G.shape[1]
     u, P = (np.zeros((n, len(sets))), np.eye(n)) if state is None else (state.mean, state.covariance)
     u = u.reshape(n, -1)
+    if root_K is not None:
+        G = np.column_stack([G, root_K])
+        u, P = np.pad(u, [(0, root_K.shape[1]), (0, 0)]), block_diag(P, np.eye(root_K.shape[1]))
     predicted, variance = np.empty(read.shape), np.empty(len(read))
     is_known = np.all(np.isfinite(read), axis=1)
     order = np.argsort(time_s, kind="stable")
@@ -320,6 +366,31 @@ def innovations_of_several(
         for channels, means in zip(sets, predicted.T, strict=True)
     ]
     return by_set, ErrorState(u, P)
+
+
+def parameter_root_K(
+    fitted: Sequence[PredictedSamples], others: Sequence[PredictedSamples], covariance: FloatArray
+) -> FloatArray:
+    """(reading, parameter) root of the covariance that the parameters of a fit give to readings that it has not [K].
+
+    fitted, others : channels of the fitted readings and of the others, at the values of the fit
+    covariance     : (parameter, parameter) of the fit; a parameter without a finite variance stays at its value
+
+    With another value of a parameter the fitted readings give another error of the model, which the others then have.
+    Source: docs/theory/model_error.md, equation 6a.
+    """
+    here, there = fitted[0].record_fit, others[0].record_fit
+    G = here.error_root_K
+    assert G is not None  # the caller's records have an error
+    assert there.error_root_K is not None
+    known = np.diag(covariance) > 0.0
+    known &= np.isfinite(np.diag(covariance))
+    J, J_there = (np.concatenate([s.jacobian[:, known] for s in samples]) for samples in (fitted, others))
+    K_J = cho_solve((here.error_factor[0], True), G.T @ (J / here.reading_noise_K[:, np.newaxis] ** 2))
+    scale = np.sqrt(np.diag(covariance)[known])
+    values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)] / np.outer(scale, scale))
+    root = scale[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray((J_there - there.error_root_K @ K_J) @ root)
 
 
 def whitened(record_fit: RecordFit, samples: Sequence[PredictedSamples], free: BoolArray) -> list[ChannelResiduals]:

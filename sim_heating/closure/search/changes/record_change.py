@@ -241,7 +241,7 @@ def problem_over(
     record_fit : of the base's, with noise and mesh correction;  names : of the unknowns
     """
     samples = {"sample_masks": [record.holdout_mask()]} if held_out else {}
-    return candidate_problem(base, replace(record_fit, record=record), NO_EFFECT, names, prior_scale=WIDENED, **samples)
+    return candidate_problem(base, record_fit, NO_EFFECT, names, record, prior_scale=WIDENED, **samples)
 
 
 def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, moved: FittedChannel) -> FloatArray:

@@ -39,6 +39,7 @@ from sim_heating.estimation.inference.error_likelihood import (
     innovations,
     model_error,
     noise_error,
+    parameter_root_K,
 )
 from sim_heating.estimation.inference.likelihood import log_likelihood
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
@@ -165,8 +166,33 @@ class TrialFit:
         """
         if self.held_out is None:
             return []
-        record_fit = self.held_out.record_fits[0]
-        return innovations(record_fit, self.held_out.samples(self.fit.values), self._predicted[1])[0]
+        return innovations(self.held_out.record_fits[0], self._held_out_plain, self.known_error)[0]
+
+    @cached_property
+    def _held_out_plain(self) -> list[PredictedSamples]:
+        """The samples held out, predicted without an error; none where there are none.
+
+        raises : RunError where they cannot be marched
+        """
+        return [] if self.held_out is None else self.held_out.samples(self.fit.values)
+
+    @property
+    def has_error(self) -> bool:
+        """Whether heating or flight of its model have an error, and not only noise."""
+        error = self.problem.record_fits[0].model_error
+        return error is not None and not error.is_noise_alone
+
+    @property
+    def _held_out_integrated(self) -> list[PredictedSamples]:
+        """The samples held out, predicted from the fitted ones and as uncertain as the parameters are.
+
+        raises : RunError where they cannot be marched
+        """
+        assert self.held_out is not None  # asked for where there are any
+        others = self._held_out_plain
+        known = np.where(np.outer(~self.fit.on_bound, ~self.fit.on_bound), self.fit.covariance, 0.0)
+        root_K = parameter_root_K(self.fitted_samples, others, known)
+        return innovations(self.held_out.record_fits[0], others, self.known_error, root_K)[0]
 
     @cached_property
     def excess_chi2(self) -> float:
@@ -180,14 +206,18 @@ class TrialFit:
 
     @cached_property
     def held_out_log_likelihood(self) -> float:
-        """Log likelihood of the samples held out, at the estimates; minus infinity where they cannot be marched."""
+        """Log likelihood of the samples held out, at the estimates; minus infinity where they cannot be marched.
+
+        Of a model with an error the parameters are integrated out: what they leave open, the error of a model that has
+        fewer of them leaves open as well.
+        """
         if self.held_out is None:
             return 0.0
         if self.held_out.record_fits[0].model_error is None:
             total = self.held_out.evaluate(self.fit.values).log_likelihood
         else:
             try:
-                samples = self.held_out_samples
+                samples = self._held_out_integrated if self.has_error else self.held_out_samples
             except RunError:
                 return -np.inf
             stated = self.held_out.record_fits[0].known_log_likelihood
@@ -464,14 +494,21 @@ def _names(base: TrialFit, candidate: Candidate) -> tuple[str, ...]:
 
 
 def candidate_problem(
-    base: TrialFit, record_fit: RecordFit, candidate: Candidate, names: Sequence[str], **options: Any
+    base: TrialFit,
+    record_fit: RecordFit,
+    candidate: Candidate,
+    names: Sequence[str],
+    record: Record | None = None,
+    **options: Any,
 ) -> FitProblem:
     """A part of the base with the effects found so far and those of a candidate.
 
     Its noise and mesh correction are the base's, as are the bounds of the clock and the priors of the table, unless the
     candidate has others.
     record_fit : the base's part over the fitted or held-out samples;  names : of all estimated parameters
+    record     : where it is changed; that of the part by default
     """
+    record = record or record_fit.record
     uses = (*fitted_effects(base), *candidate.uses)
     priors: dict[str, Parameter] = dict(base.problem.priors)
     if CLOCK_SKEW.name in candidate.names:
@@ -479,16 +516,16 @@ def candidate_problem(
     priors |= candidate.priors
     options |= {"effects": uses, "priors": priors, **THINNED_STEPS}
     plain = [n for n in names if n not in record_fit.flight_names]
-    problem = FitProblem([record_fit.record], plain, base.problem.reference, FitOptions(**options))
+    problem = FitProblem([record], plain, base.problem.reference, FitOptions(**options))
     # The noise of the base: likelihoods of candidates are compared, and noise fitted to each would absorb what one of
     # them explains.
     problem_fit = problem.record_fits[0]
     problem_fit.sigma_K.update(record_fit.sigma_K)
     problem_fit.known_log_likelihood = record_fit.known_log_likelihood
     # a record without the readings of a broken sensor may have fewer times
-    correction = np.broadcast_to(record_fit.correction_K, (len(record_fit.record.sensors), len(record_fit.sample_s)))
+    correction = np.broadcast_to(record_fit.correction_K, (len(record.sensors), len(record_fit.sample_s)))
     problem_fit.correction_K = correction[:, np.isin(record_fit.sample_s, problem_fit.sample_s)]
-    problem_fit.model_error = record_fit.model_error
+    problem_fit.take_error(record_fit)
     return problem.with_flight_unknowns() if record_fit.flight_names else problem
 
 
