@@ -95,6 +95,8 @@ def _recorder(lines: Sequence[tuple[int, str]]) -> str:
 
 def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], bool]:
     """Lines of the serial monitor of an Arduino, `10:45:00.512 -> 20.06,20.46`, with a separator for the arrow."""
+    if sum(" -> " in line for _, line in lines) < 0.9 * len(lines):
+        return lines, False
     arrow = re.compile(r"(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> (.*)")
     matches = [(i, arrow.fullmatch(line.strip())) for i, line in lines]
     if sum(m is not None for _, m in matches) < 0.9 * len(lines):
@@ -213,7 +215,7 @@ def rows_block(
         if len(cells) != width and (len(cells) < width or any(cells[width:])):
             rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
             raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
-    columns = [list(c) for c in zip(*(split[k][1][:width] for k in body), strict=True)]
+    columns = [[split[k][1][column] for k in body] for column in range(width)]
     while width > 1 and not any(columns[-1]) and not _named_cell(split, first, width - 1):
         columns.pop()  # a separator ends each line
         width -= 1
