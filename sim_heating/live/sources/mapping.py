@@ -380,8 +380,9 @@ class FieldMapping:
     def _hint(self, name: str, meaning: str) -> str:
         if unit_less := self._conditions.without_unit(meaning):
             return f"; `{unit_less}` states no unit: name it with its unit in [conditions]"
-        constant = f"; state a constant in [conditions], {meaning} = {{ constant = 0.0 }}" if meaning in HELD else ""
-        return suggestion(name, self._sent, otherwise="") or constant
+        if name == meaning and meaning in HELD:
+            return f"; state a constant in [conditions], {meaning} = {{ constant = 0.0 }}"
+        return suggestion(name, self._sent, otherwise="")
 
     def check_sent(self, names: Sequence[str], source: str) -> None:
         """Refuse a mapping of fields that a source does not send, where what it sends is known beforehand.
