@@ -219,9 +219,9 @@ def _trial(folder: Path, files: Mapping[str, str]) -> Iterator[Path]:
         trials: dict[str, Path] = {}
         try:
             for name in files:
-                handle, path = tempfile.mkstemp(prefix=f".{PARTIAL}", suffix=f".{name}", dir=folder)
+                handle, created = tempfile.mkstemp(prefix=f".{PARTIAL}", suffix=f".{name}", dir=folder)
                 os.close(handle)
-                trials[name] = Path(path)
+                trials[name] = Path(created)
             for name, path in trials.items():
                 text = files[name]
                 for other in trials:
