@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.conditions import FRAME, SURFACES
 from sim_heating.base.errors import InputError
@@ -56,6 +56,15 @@ from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
 from sim_heating.thermal.stack import Sensor
 
 LOOPBACK = "127.0.0.1"
+
+
+def _host(name: str) -> str:
+    if re.fullmatch(r"[\w.:%\[\]-]+", name) is None:
+        raise ValueError(f'"{name}" is no name or address of a machine, such as {LOOPBACK}')
+    return name
+
+
+Host = Annotated[str, AfterValidator(_host)]
 DRIVING = ("q_add_W_m2", "T_surroundings_K", "T_back_K")
 """Columns that change at a wall without flow."""
 NOT_OF_MODEL = ("sensor.", "sensors.", "effect.", "clock.")
@@ -78,7 +87,7 @@ class Network(Declared):
     quantities: ClassVar = {"port": None}
 
     transport: Literal["udp", "tcp-server", "tcp-client", "stdin", "file"] = "udp"
-    host: str = LOOPBACK
+    host: Host = LOOPBACK
     port: int = PORT
     file: str | None = None
 
@@ -129,7 +138,7 @@ class Mqtt(Declared):
     quantities: ClassVar = {"port": None}
 
     kind: Literal["mqtt"] = Field(description='"mqtt"')
-    host: str = LOOPBACK
+    host: Host = LOOPBACK
     port: int = Field(default=1883, ge=1, le=65535, description="port, 1 to 65535")
     topics: list[str] = Field(min_length=1, description="topics, as `vehicle/+/temperature`")
     user: str | None = None
@@ -291,7 +300,7 @@ class JSBSimInput(Declared):
 
     quantities: ClassVar = {"port": None}
 
-    host: str = LOOPBACK
+    host: Host = LOOPBACK
     port: int = Field(default=5502, ge=1, le=65535, description="port of JSBSim's `<input>`, 1 to 65535")
     prefix: str = Field(default="heating", pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*(/[A-Za-z_][A-Za-z0-9_.-]*)*/?$")
 
@@ -311,7 +320,7 @@ class OutputSettings(Declared):
 
     page: bool = True
     metrics: bool = False
-    host: str = LOOPBACK
+    host: Host = LOOPBACK
     port: int = Field(default=8465, ge=0, le=65535, description="port of the page; 0 for any that is free")
     rate_Hz: float = Field(default=10.0, gt=0.0, le=10.0)
     lines: list[str] = Field(default=[])

@@ -12,6 +12,7 @@ import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -100,14 +101,15 @@ class CsvColumn:
     reason: str
     guess: str = ""
 
-    @property
+    @cached_property
     def si(self) -> FloatArray:
         """(row,) values in s, K or W/m2, without the digits that a conversion adds."""
         scale = converted(self.unit, SI_UNITS[self.kind])
         assert scale is not None  # a unit is checked when it is chosen
         if scale == (1.0, 0.0):
             return self.values
-        return np.array([float(f"{scale.factor * v + scale.offset:.12g}") for v in self.values])
+        distinct, which = np.unique(self.values, return_inverse=True)  # a recorder has few of them
+        return np.array([float(f"{scale.factor * v + scale.offset:.12g}") for v in distinct])[which]
 
 
 @dataclass(frozen=True)

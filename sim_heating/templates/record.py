@@ -212,6 +212,8 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
     """
     columns = {c.name: c for c in measured.columns}
     if lamp == UNKNOWN:
+        if absorptance is not None:
+            raise InputError("--absorptance: is of a known --lamp; of an unknown one the absorbed flux is estimated")
         return _unknown_flux(measured.of_kind(TIME)[0].si, lit_s)
     if lamp in columns or Path(lamp).is_file():
         if lit_s is not None:
@@ -688,12 +690,15 @@ def like_record(
     depths: Mapping[str, str],
     title: str = "",
     noise_K: float | None = None,
+    *,
+    is_measured: bool = True,
 ) -> tuple[Record, list[str]]:
     """Write a record with the stack, flight and heating of another one, and the temperatures of a CSV file.
 
-    depths : column -> depth as a person types it; a column of the other record's sensor has that of the sensor, and so
-             has a single column where that record has a single sensor
-    raises : InputError where a depth is missing, or the result is no record
+    depths      : column -> depth as a person types it; a column of the other record's sensor has that of the sensor,
+                  and so has a single column where that record has a single sensor
+    is_measured : whether the temperatures are measured, and not computed
+    raises      : InputError where a depth is missing, or the result is no record
     """
     model = load_record(like)
     declared, columns = model.declared, sensor_columns(measured)
@@ -725,8 +730,12 @@ def like_record(
     update = {
         "thermocouples": thermocouples,
         "title": title or f"{measured.path.name} on {declared.title}",
-        "measured": True,
+        "measured": is_measured,
+        "source": f"temperatures: {measured.path.name}; stack, flight and heating: those of {model.name}",
+        "confidence": "",
     }
+    if declared.confidence:
+        notes.append(f"confidence not stated (`confidence`): that of {model.name} is of its readings too")
     times = measured.of_kind(TIME)[0].si
     readings = {"time_s": times} | {s.column: c.si for s, c in zip(sensors, columns, strict=True)}
     with said_of_sources({"thermocouples.csv": source_of_readings(measured)}, out):

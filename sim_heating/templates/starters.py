@@ -17,7 +17,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import csv_text, display_path, exclusive, roots_of, suggestion, write_own_files
 from sim_heating.base.files.paths import portable_problem, real_path
 from sim_heating.base.files.text import PARTIAL, abbreviated, clear_partial_files
@@ -121,12 +121,11 @@ def write_new_scenario(
         "stop_mach": stop_mach,
         "manoeuvre": {"at_velocity_m_s": 6096.0, "deg": 3.0} if manoeuvre else None,
     }
-    text = render_toml("scenario.toml.j2", "scenario", **values)
-    if flown.text is not None:
-        _write(out, {TRAJECTORY: flown.text}, lambda path: None)
+    files = {SCENARIO: render_toml("scenario.toml.j2", "scenario", **values)}
+    files |= {} if flown.text is None else {TRAJECTORY: flown.text}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what is derived, which the notes tell
-        return _write(out, {SCENARIO: text}, lambda path: _check_scenario(path, root)), list(flown.notes)
+        return _write(out, files, lambda path: _check_scenario(path, root)), list(flown.notes)
 
 
 @dataclass(frozen=True)
@@ -199,32 +198,45 @@ def _write(out: str | os.PathLike[str], files: Mapping[str, str], check: Callabl
     check  : raises InputError where the file does not work
     raises : InputError where the check fails, or a file of a name exists that this program did not write
     """
-    folder, first = Path(out), next(iter(files))
-    with _trial(folder, first, files[first]) as trial:
-        try:
-            check(trial)
-        except InputError as error:
-            shown = (line.replace(display_path(trial), display_path(folder / first)) for line in error.problems)
-            raise InputError(*shown) from None
-        write_own_files(folder, COMMAND, files)
-    return folder / first
+    folder = Path(out)
+    with _trial(folder, files) as trial:
+        check(trial)
+    write_own_files(folder, COMMAND, files)
+    return folder / next(iter(files))
 
 
 @contextmanager
-def _trial(folder: Path, name: str, text: str) -> Iterator[Path]:
-    """A file under another name where it will be, since it names files relative to itself; removed in the end.
+def _trial(folder: Path, files: Mapping[str, str]) -> Iterator[Path]:
+    """The first file, and those beside it that it names, under other names where they will be; removed in the end.
 
-    What a killed process left of an earlier one is removed, and the directory where nothing was written into it.
+    Files name others relative to themselves. What a killed process left of earlier ones is removed, and the directory
+    where nothing was written into it.
+
+    raises : InputError of the block, with the names that the files will have
     """
     with exclusive(folder):
         clear_partial_files(folder)
-        handle, path = tempfile.mkstemp(prefix=f".{PARTIAL}", suffix=f".{name}", dir=folder)
-        os.close(handle)
+        trials: dict[str, Path] = {}
         try:
-            Path(path).write_text(text, encoding="utf-8")
-            yield Path(path)
+            for name in files:
+                handle, created = tempfile.mkstemp(prefix=f".{PARTIAL}", suffix=f".{name}", dir=folder)
+                os.close(handle)
+                trials[name] = Path(created)
+            for name, path in trials.items():
+                text = files[name]
+                for other in trials:
+                    text = text.replace(f'"{other}"', f'"{trials[other].name}"')
+                path.write_text(text, encoding="utf-8")
+            yield next(iter(trials.values()))
+        except InputError as error:
+            problems = list(error.problems)
+            for name, path in trials.items():
+                shown = display_path(path), display_path(folder / name)
+                problems = [line.replace(*shown).replace(path.name, name) for line in problems]
+            raise InputError(*problems) from None
         finally:
-            Path(path).unlink(missing_ok=True)
+            for path in trials.values():
+                path.unlink(missing_ok=True)
 
 
 def write_new_study(
@@ -237,6 +249,7 @@ def write_new_study(
     flights: int = 128,
     optimal: Mapping[str, Any] | None = None,
     above: Mapping[str, Mapping[str, str]] | None = None,
+    root: str | os.PathLike[str] | None = None,
     check: Callable[[Path], object],
 ) -> Path:
     """Write DIR/study.toml, a study of the flight of a scenario.
@@ -245,6 +258,7 @@ def write_new_study(
     flights : of a dispersion, a power of two
     optimal : contents of the table [optimal]
     above   : control point -> limit of it -> why it is above the vehicle's own, for the comments of [optimal]
+    root    : folder that the scenario may name files in
     check   : called with the file before it is in the directory; raises InputError where it does not work
     returns : the file
     raises  : InputError where the scenario or a point does not work, or the flights are no power of two
@@ -254,7 +268,7 @@ def write_new_study(
             f"--flights {flights}: is no power of two, which its sequences need to be even; "
             f"give {2 ** (flights.bit_length() - 1)} or {2 ** flights.bit_length()}"
         )
-    base = load_scenario(scenario)
+    base = load_scenario(scenario, root=root)
     names = list(points) or list(base.names)
     for name in names:
         base.vehicle.control_point(name)
@@ -278,12 +292,20 @@ def write_new_study(
 
 
 def write_new_effect(
-    out: str | os.PathLike[str], name: str, *, mode: str = "multiply", variable: str = "mach", vehicle: str, point: str
+    out: str | os.PathLike[str],
+    name: str,
+    *,
+    mode: str = "multiply",
+    variable: str = "mach",
+    vehicle: str,
+    point: str,
+    root: str | os.PathLike[str] | None = None,
 ) -> list[Path]:
     """Write an effect, a check of it, and a scenario whose truth has it.
 
     name     : of the effect, as in `shock-passage`
     variable : a column of the flight conditions, or `wall_K`, in which it is a bell
+    root     : folder that the scenario may name files in
     returns  : the files: effect, scenario, check
     raises   : InputError where the name is taken or is none, the variable is unknown, or the practice flight of the
                vehicle would not show the effect
@@ -301,8 +323,9 @@ def write_new_effect(
     if variable not in VARIABLES:
         assert set(VARIABLES) - {"wall_K"} <= set(CONDITION_COLUMNS)
         raise InputError(f"--variable {variable}: is not one{suggestion(variable, VARIABLES)}")
-    flown = load_vehicle(vehicle)
-    flown.control_point(point)
+    flown = load_vehicle(vehicle, root=root)
+    with error_context("--point"):
+        flown.control_point(point)
     if variable in SURFACES and variable not in flown.surfaces:
         raise InputError(
             f"--variable {variable}: {flown.name} has no such control surface; name another variable or --vehicle"
@@ -327,7 +350,7 @@ def write_new_effect(
         "gamma_deg": entry_angle_deg(flown),
         "truth": {"multiply": 0.25, "add": 0.1, "emittance": -0.2}[mode],
     }  # fmt: skip
-    values |= _on_practice_flight(folder, values, point)
+    values |= _on_practice_flight(folder, values, point, root)
     files = {
         f"{module}.py": render("effect.py.j2", **values),
         f"{module}.toml": render_toml("effect_scenario.toml.j2", "scenario", **values),
@@ -337,13 +360,15 @@ def write_new_effect(
     return [folder / n for n in files]
 
 
-def _on_practice_flight(folder: Path, values: Mapping[str, Any], point: str) -> dict[str, float]:
+def _on_practice_flight(
+    folder: Path, values: Mapping[str, Any], point: str, root: str | os.PathLike[str] | None
+) -> dict[str, float]:
     """Centre and width of the bell of a new effect, so that its practice flight shows it.
 
     raises : InputError where the variable hardly changes while the vehicle is heated
     """
     variable = str(values["variable"])
-    flown = _practice_flight(folder, values)
+    flown = _practice_flight(folder, values, root)
     usual = float(values["centre"]), float(values["width"])
     limits = float(values["lower"]), float(values["upper"])
     try:
@@ -379,11 +404,13 @@ def practice_bell(
     return centre, width
 
 
-def _practice_flight(folder: Path, values: Mapping[str, Any]) -> dict[str, FloatArray]:
+def _practice_flight(
+    folder: Path, values: Mapping[str, Any], root: str | os.PathLike[str] | None
+) -> dict[str, FloatArray]:
     """The variable of an effect along its practice flight, and `heat`, the part of the heating of each sample [-]."""
     text = render_toml("effect_scenario.toml.j2", "scenario", **values).split("[[truth.effect]]")[0]
-    with _trial(folder, "scenario.toml", text) as trial:
-        scenario = load_scenario(trial)
+    with _trial(folder, {f"{values['module']}.toml": text}) as trial:
+        scenario = load_scenario(trial, root=root)
         if values["variable"] == "wall_K":
             result = run(scenario)
             flown = result.flight.conditions

@@ -240,6 +240,16 @@ def test_a_time_is_found_by_its_name_and_unit_where_a_link_names_none():
         FieldMapping(link(time={"field": "t_s"})).apply(message(**values, **{"Time (ms)": 0.0}))
 
 
+def test_the_time_of_jsbsim_is_in_seconds_and_another_without_a_unit_is_asked_for():
+    values = {n: v for n, v in FRAME.items() if n != "time_s"}
+    mapping = FieldMapping(link({"kind": "jsbsim", "transport": "udp", "port": 5501}))
+    frames = frames_of(mapping, [values | {"Time": 2.0 * k} for k in range(3)])
+    assert [f.time_s for f in frames] == [0.0, 2.0, 4.0]
+    assert mapping.take_notes() == ["time_s from `Time`, in s"]
+    with pytest.raises(InputError, match=r'missing \(name it in \[time\], as field = "time", unit = "s"\)'):
+        FieldMapping(link()).apply(message(**values, time=0.0))
+
+
 def test_a_field_without_a_unit_is_not_taken_and_its_name_is_said():
     mapping = FieldMapping(link())
     sent = {n: v for n, v in FRAME.items() if n != "altitude_m"} | {"alt": 240000.0}
@@ -248,6 +258,14 @@ def test_a_field_without_a_unit_is_not_taken_and_its_name_is_said():
     assert line == (
         "field `altitude_m` (altitude_m) is not sent; `alt` states no unit: name it with its unit in [conditions]"
     )
+
+
+def test_sideslip_that_is_not_sent_may_be_stated_as_a_constant():
+    mapping = FieldMapping(link())
+    sent = {n: v for n, v in FRAME.items() if n != "beta_deg"}
+    assert frames_of(mapping, [sent | {"time_s": float(k)} for k in range(GRACE_MESSAGES)]) == []
+    (line,) = mapping.never_sent()
+    assert line.endswith("is not sent; state a constant in [conditions], beta_deg = { constant = 0.0 }")
 
 
 def test_a_density_of_a_slower_rate_is_waited_for_and_not_derived():

@@ -27,6 +27,7 @@ from sim_heating.live.outputs.lines import LARGEST_DATAGRAM, datagrams, lines_to
 from sim_heating.live.outputs.published import Published
 from sim_heating.live.outputs.server import PageServer, is_loopback
 from sim_heating.live.state import RemovedSensor, State, plain
+from tests.live.links import link
 from tests.support.served import Loop, Served, served
 
 NOTHING = Display("nothing", {})
@@ -70,6 +71,17 @@ def test_a_port_in_use_is_told_in_one_line():
             loop.run(PageServer(NOTHING, port=port).start())
         with pytest.raises(InputError, match=r"^page: cannot listen at 192\.0\.2\.1"):  # no machine has it
             loop.run(PageServer(NOTHING, host="192.0.2.1", port=0).start())
+
+
+@pytest.mark.parametrize("host", ["a;b", "my machine", " localhost", "", "a\0b", "[::1]x"])
+def test_a_host_that_is_none_is_refused_before_the_flight_is_followed(host):
+    with pytest.raises(InputError, match=r"^page: cannot listen at .*; give another --host or --port"):
+        PageServer(NOTHING, host=host)
+
+
+def test_a_link_file_names_the_host_that_is_none():
+    with pytest.raises(InputError, match=r"\[output\]: `host`: \"a;b\" is no name or address of a machine"):
+        link(output={"host": "a;b"})
 
 
 def test_other_machines_read_with_the_token_alone(state):

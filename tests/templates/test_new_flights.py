@@ -247,6 +247,26 @@ def test_a_scenario_elsewhere_takes_its_root():
     made = run("new", "scenario", "--vehicle", "there/pod", "--out", "here/flown", "--root", ".")
     assert made.exit_code == 0, made.exception
     assert "sim-heating run here/flown/scenario.toml --out here/flown/run --root ." in made.output
+    study = run("new", "study", "envelope", "--scenario", "here/flown/scenario.toml", "--out", "here/study")
+    assert isinstance(study.exception, InputError)
+    assert "name its folder with --root" in str(study.exception)
+    study = run("new", "study", "envelope", "--scenario", "here/flown/scenario.toml", "--out", "here/study",
+                "--root", ".")  # fmt: skip
+    assert "sim-heating plan here/study/study.toml --out here/study/results --root ." in study.output
+    bell = ("new", "effect", "nose-bell", "--vehicle", "there/pod", "--point", "NOSE", "--out", "here/effects")
+    assert str(run(*bell).exception).startswith("here/effects/nose_bell.toml, `vehicle`: ")
+    effect = run(*bell, "--root", ".")
+    assert "sim-heating synthesize here/effects/nose_bell.toml --out practice --root ." in effect.output
+
+
+def test_a_refused_scenario_leaves_no_trajectory():
+    os.makedirs("here/scenarios")
+    assert run("new", "vehicle", *POD, "--out", "pod").exit_code == 0
+    flight, air = FLIGHTS / "own_columns.csv", FLIGHTS / "wyoming_sounding.txt"
+    made = run("new", "scenario", "--vehicle", "pod", "--trajectory", flight, "--atmosphere", air,
+               "--out", "here/flown")  # fmt: skip
+    assert str(made.exception).startswith("here/flown/scenario.toml, `vehicle`: ")
+    assert os.listdir("here") == ["scenarios"]
 
 
 def test_a_vehicle_may_trim_at_a_negative_angle():

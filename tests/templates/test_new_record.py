@@ -254,6 +254,11 @@ def test_temperatures_of_ones_own_on_a_tile_that_has_flown() -> None:
     assert [(s.column, s.depth_m, s.noise_sigma_K) for s in record.sensors] == [("my_tile_K", 0.000305, None)]
     assert record.thermocouples["my_tile_K"][0] == pytest.approx(T_C[0] + 273.15, abs=0.06)
     assert record.declared.heating == flown.declared.heating
+    assert (record.declared.measured, record.declared.confidence) == (True, "")
+    assert record.declared.source == "temperatures: mine.csv; stack, flight and heating: those of sts96_480"
+    assert "confidence not stated" in said
+    assert run("new", "record", "--csv", "mine.csv", "--like", "mine", "--synthetic", "--out", "made").exit_code == 0
+    assert not load_record("made").declared.measured
 
 
 def test_temperatures_in_a_shipped_record_are_replaced_by_one_file_and_one_name() -> None:
@@ -314,6 +319,10 @@ def test_a_plate_that_cools_at_its_back_is_a_record() -> None:
         (("--temperature", "TX"), "--temperature TX: there is no such column"),
         (("--time-unit", "mm"), "is not a unit of time"),
         (("--like", "x", "--lamp", "1kW/m2"), "--lamp: comes from the record of --like"),
+        (("--like", "x", "--emissivity", "0.5"), "--emissivity: comes from the record of --like"),
+        (("--like", "x", "--point", "plate"), "--point: comes from the record of --like"),
+        ((*PLAIN_PLATE, "--conditions", "c.csv", "--lit", "0,1"), "--lit: is of a lamp"),
+        ((*PLAIN_PLATE, "--lamp", "unknown", "--absorptance", "0.9"), "--absorptance: is of a known --lamp"),
     ],
 )
 def test_what_is_missing_or_wrong_is_said_in_one_line(arguments: tuple[str, ...], message: str) -> None:

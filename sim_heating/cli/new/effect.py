@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from sim_heating.cli.console import OUT
+from sim_heating.cli.console import OUT, ROOT
 from sim_heating.cli.new.printing import print_made
 
 
@@ -28,7 +28,8 @@ from sim_heating.cli.new.printing import print_made
 )
 @click.option("--vehicle", default="orbiter", show_default=True, help="vehicle of the practice flight")
 @click.option("--point", default="WING_LE", show_default=True, help="control point of the practice flight")
-def new_effect(name: str, out: Path, mode: str, variable: str, vehicle: str, point: str) -> None:
+@ROOT
+def new_effect(name: str, out: Path, mode: str, variable: str, vehicle: str, point: str, root: Path | None) -> None:
     """Make an effect of your own: DIR/NAME.py, a check of it, and a practice flight whose truth has it.
 
     The folder is then named in SIM_HEATING_EFFECTS; close-loop looks for the effect in any record.
@@ -40,14 +41,15 @@ def new_effect(name: str, out: Path, mode: str, variable: str, vehicle: str, poi
     """
     from sim_heating.templates.starters import write_new_effect
 
-    files = write_new_effect(out, name, mode=mode, variable=variable, vehicle=vehicle, point=point)
+    files = write_new_effect(out, name, mode=mode, variable=variable, vehicle=vehicle, point=point, root=root)
     module = files[0].stem
+    below = "" if root is None else f" --root {root}"
     print_made(
         f"effect {name}: {', '.join(str(f) for f in files)}",
         out,
         f"export SIM_HEATING_EFFECTS={out}",
         f"python -m pytest {out}/checks",
-        f"sim-heating synthesize {out}/{module}.toml --out practice",
+        f"sim-heating synthesize {out}/{module}.toml --out practice{below}",
         "sim-heating close-loop practice --out closed",
         files=files,
     )

@@ -88,8 +88,11 @@ def new_scenario(vehicle: str, out: Path, points: tuple[str, ...], root: Path | 
 @click.option(
     "--flights", type=click.IntRange(16), default=128, show_default=True, help="flights of a dispersion, a power of two"
 )
+@ROOT
 @title_option("study")
-def new_study(kind: str, scenario: Path, out: Path, points: tuple[str, ...], flights: int, title: str) -> None:
+def new_study(
+    kind: str, scenario: Path, out: Path, points: tuple[str, ...], flights: int, root: Path | None, title: str
+) -> None:
     """Make a study of a scenario's flight, DIR/study.toml, for `sim-heating plan`.
 
     KIND is `dispersion` (peak temperatures of many dispersed entries), `envelope` (margins to the limits over a map of
@@ -108,16 +111,17 @@ def new_study(kind: str, scenario: Path, out: Path, points: tuple[str, ...], fli
         from sim_heating.inputs.scenario import load_scenario
         from sim_heating.planning.optimal.of_scenario import optimal_table
 
-        base = load_scenario(scenario)
+        base = load_scenario(scenario, root=root)
         with progress_line("new study") as progress:
             progress(0.1, COMPILING)
             table = optimal_table(base, points or base.names)
         tables, notes = {"optimal": table.values, "above": table.above}, table.notes
     checked = list[CheckedPath]()
     path = write_new_study(
-        out, kind, scenario, title=title, points=points, flights=flights,
-        check=lambda file: checked.append(check_path(file)), **tables,
+        out, kind, scenario, title=title, points=points, flights=flights, root=root,
+        check=lambda file: checked.append(check_path(file, root)), **tables,
     )  # fmt: skip
     if notes:
         print_notes(notes)
-    print_made(checked[0].summary, path, f"sim-heating plan {path} --out {out}/results", notes=notes)
+    below = "" if root is None else f" --root {root}"
+    print_made(checked[0].summary, path, f"sim-heating plan {path} --out {out}/results{below}", notes=notes)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import CONSOLE, OUT, PATH, print_table
@@ -24,6 +25,14 @@ from sim_heating.cli.new.printing import print_made, print_notes
 if TYPE_CHECKING:
     from sim_heating.templates.materials import LayerInput
     from sim_heating.templates.measured_csv import MeasuredCsv
+
+OF_THE_OTHER_RECORD = (
+    "--layer", "--lamp", "--lit", "--absorptance", "--emissivity", "--initial", "--surroundings", "--back-film",
+    "--back-temperature", "--back-emissivity", "--pressure", "--conditions", "--field", "--atmosphere",
+    "--reference-length", "--reference", "--ratio", "--ratio-table", "--nose-radius", "--running-length", "--sweep",
+    "--local-angle", "--recovery", "--point",
+)  # fmt: skip
+"""Options of the stack, the flight and the heating, which `--like` takes from its record."""
 
 
 @click.command("record")
@@ -157,6 +166,8 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
     from sim_heating.templates.loggers.layout_file import read_layout, write_layout
     from sim_heating.templates.measured_csv import lost_values, read_measured_csv
 
+    if options["like"] is not None:
+        _refuse_with_like()
     if options["period"] is not None and not options["period"] > 0.0:
         raise InputError("--period: must be above 0")
     lamp = options["lamp"]
@@ -183,8 +194,15 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
     print_table(measured.table())
     print_table(measured.first_rows())
     if options["like"] is not None:
-        _refuse_with_like(layers, options)
-        record, notes = maker.like_record(out, options["like"], measured, depths, options["title"], options["noise"])
+        record, notes = maker.like_record(
+            out,
+            options["like"],
+            measured,
+            depths,
+            options["title"],
+            options["noise"],
+            is_measured=not options["synthetic"],
+        )
     else:
         stack = _stack(layers)
         sensors = maker.sensor_columns(measured)
@@ -226,12 +244,13 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
     print_made(describe_record(record), out, *commands, notes=notes)
 
 
-def _refuse_with_like(layers: Sequence[str], options: dict[str, Any]) -> None:
-    for option, value in (("--layer", layers), ("--lamp", options["lamp"]), ("--conditions", options["flight"]),
-        ("--ratio", options["ratio"]), ("--ratio-table", options["ratio_table"]),
-    ):  # fmt: skip
-        if value:
-            raise InputError(f"{option}: comes from the record of --like; leave one of the two out")
+def _refuse_with_like() -> None:
+    """Refuse what `--like` would leave unused."""
+    context = click.get_current_context()
+    for option in context.command.params:
+        is_given = context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
+        if is_given and option.opts[0] in OF_THE_OTHER_RECORD:
+            raise InputError(f"{option.opts[0]}: comes from the record of --like; leave one of the two out")
 
 
 def _stack(layers: Sequence[str]) -> list[LayerInput]:
@@ -280,6 +299,9 @@ def _heat(measured: MeasuredCsv, lamp: str | None, options: dict[str, Any]) -> A
     if options["flight"] is not None:
         if lamp is not None:
             raise InputError("--lamp: goes with a test on the ground, --conditions with a flight; give one of the two")
+        for name in ("lit", "absorptance"):
+            if options[name] is not None:
+                raise InputError(f"--{name}: is of a lamp; leave it out, or --conditions")
         return flown_heat(
             options["flight"],
             options["reference"],

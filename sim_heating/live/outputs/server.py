@@ -101,22 +101,29 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def listening_socket(host: str, port: int) -> socket.socket:
-    """A socket that listens; port 0 takes a free one.
-
-    raises : InputError for an address that is not of this machine, or a port in use
-    """
+@contextlib.contextmanager
+def _told_of_page(host: str, port: int) -> Iterator[None]:
+    """Errors of an address as an InputError of one line."""
     try:
-        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listener = socket.create_server(address, family=family)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ON_ITS_WAY)  # its connections inherit it
-        return listener
-    except (OSError, OverflowError) as error:
+        yield
+    except (OSError, OverflowError, UnicodeError) as error:
         if getattr(error, "errno", None) == errno.EADDRINUSE:
             raise InputError(f"page: port {port} of {host} is in use; give another by --port, or 0 for any") from None
         reason = getattr(error, "strerror", None) or str(error)
         problem = f"cannot listen at {host}, port {port}: {reason}"
         raise InputError(f"page: {problem}; give another --host or --port") from None
+
+
+def listening_socket(host: str, port: int) -> socket.socket:
+    """A socket that listens; port 0 takes a free one.
+
+    raises : InputError for an address that is not of this machine, or a port in use
+    """
+    with _told_of_page(host, port):
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.create_server(address, family=family)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ON_ITS_WAY)  # its connections inherit it
+        return listener
 
 
 def most_connections() -> int:
@@ -137,7 +144,7 @@ class PageServer:
     port    : 0 takes a free one
     token   : what readers have to give; made where `host` needs one and None is given
     page    : whether there is a page, or the latest state and metrics alone
-    raises  : InputError for a token that can be guessed, or that no address can hold
+    raises  : InputError for a host that is none, and a token that can be guessed, or that no address can hold
     """
 
     def __init__(
@@ -149,6 +156,8 @@ class PageServer:
         token: str | None = None,
         page: bool = True,
     ) -> None:
+        with _told_of_page(host, port):
+            socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         self.display, self.host, self.port = display, host, port
         if token is None and not is_loopback(host):
             token = secrets.token_urlsafe(SHORTEST_TOKEN)

@@ -9,7 +9,8 @@ A reading is one of the time by its clock, less the skew of that clock where the
 columns of flight conditions is a frame at once. Columns that come in several messages of one time
 are gathered; where a later time comes first, the columns that are absent have their latest values.
 
-A column without an entry in the link is the field of its own name, else the one field that is it by its name and unit.
+A column without an entry in the link is the field of its own name, else the one field that is it by its name and unit;
+`Time` of JSBSim's own output is in s.
 One that does not come within the first seconds is derived from those that do, as in files, and that is told. What is
 sent is never replaced: where the field comes after all, it is used from then on.
 """
@@ -17,7 +18,7 @@ sent is never replaced: where the field comes after all, it is used from then on
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -52,6 +53,8 @@ ABSENT_AFTER_S, ABSENT_TIMES = 2.0, 3
 """Flight time [s], and number of times with conditions, after which a column that did not come is absent."""
 HELD = ("beta_deg", *SURFACES, "jets")
 """Columns that are as in the whole record, where they change there nowhere and are not sent."""
+JSBSIM_TIME = "Time"
+"""Label of the time [s] in JSBSim's own output, which states no unit."""
 SOURCES = ("q_Pa", "qbar_Pa", "p_inf_Pa", "T_inf_K", "mach", "velocity_m_s", "altitude_m", "rho_kg_m3")
 """Columns from which others follow, also where a frame does not need them."""
 
@@ -282,6 +285,11 @@ class ConditionFields:
         return DerivedConditions(columns, (*of_record, *derived.notes, *of_pressure), derived.of_model)
 
 
+def _times_of(names: Iterable[str]) -> list[FlightField]:
+    """The fields that are a time by their names, with or without a unit."""
+    return [f for n in names if (f := field_of_name(n)) is not None and f.column == TIME]
+
+
 class FieldMapping:
     """The mapping of a link.
 
@@ -372,6 +380,8 @@ class FieldMapping:
     def _hint(self, name: str, meaning: str) -> str:
         if unit_less := self._conditions.without_unit(meaning):
             return f"; `{unit_less}` states no unit: name it with its unit in [conditions]"
+        if name == meaning and meaning in HELD:
+            return f"; state a constant in [conditions], {meaning} = {{ constant = 0.0 }}"
         return suggestion(name, self._sent, otherwise="")
 
     def check_sent(self, names: Sequence[str], source: str) -> None:
@@ -404,12 +414,17 @@ class FieldMapping:
         if name not in values and name == self._time:
             name = self._find_time(values)
         if name not in values:
-            raise InputError(f"time field `{name}` is missing; the message has {_names(values)}")
+            hint = ""
+            if name == self._time and (times := _times_of(values)):
+                hint = f' (name it in [time], as field = "{times[0].name}", unit = "s")'
+            raise InputError(f"time field `{name}` is missing{hint}; the message has {_names(values)}")
         return self._seconds(_number(values[name], name) - self._zero)
 
     def _find_time(self, values: Mapping[str, float | str]) -> str:
         """The time field; of a link that names none, the one that is a time by its name and unit."""
-        named = [f for n in values if (f := field_of_name(n)) is not None and f.column == TIME and f.unit]
+        named = [f for f in _times_of(values) if f.unit]
+        if not named and JSBSIM_TIME in values and any(s.kind == "jsbsim" for s in self.link.declared.source):
+            named = [FlightField(JSBSIM_TIME, TIME, "s", Conversion(1.0, 0.0))]
         if len(named) != 1 or "time" in self.link.declared.model_fields_set:
             return self._time
         (flight_field,) = named

@@ -68,14 +68,15 @@ def far_off(values: FloatArray) -> BoolArray:
         return is_far
     v = values[finite]
     around = np.stack([_shifted(v, k) for k in (*range(-SIDE, 0), *range(1, SIDE + 1))])
-    middle = np.nanmedian(around, axis=0)
     ordered = np.sort(around, axis=0)  # NaN beyond the ends last
     count = np.sum(np.isfinite(around), axis=0)
+    each = np.arange(len(v))
+    middle = 0.5 * (ordered[(count - 1) // 2, each] + ordered[count // 2, each])  # their median
     # without the most extreme one, which may be another bad reading; at the ends neighbours stand on one side, and
     # count
     inner = count == 2 * SIDE
     low = np.where(inner, ordered[1], ordered[0])
-    high = ordered[np.where(inner, count - 2, count - 1), np.arange(len(v))]
+    high = ordered[np.where(inner, count - 2, count - 1), each]
     distance = np.abs(v - middle)
     scale = 1.4826 * float(np.median(distance))
     outside = np.maximum(low - v, v - high)

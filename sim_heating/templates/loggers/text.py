@@ -95,6 +95,8 @@ def _recorder(lines: Sequence[tuple[int, str]]) -> str:
 
 def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], bool]:
     """Lines of the serial monitor of an Arduino, `10:45:00.512 -> 20.06,20.46`, with a separator for the arrow."""
+    if sum(" -> " in line for _, line in lines) < 0.9 * len(lines):
+        return lines, False
     arrow = re.compile(r"(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> (.*)")
     stamped = [(i, m[1], m[2]) for i, line in lines if (m := arrow.fullmatch(line.strip())) is not None]
     if len(stamped) < 0.9 * len(lines):
@@ -244,7 +246,7 @@ def _columns_of_rows(file: str, body: Sequence[Row], width: int) -> list[list[st
         if len(cells) < width or any(cells[width:]):
             rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
             raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
-    return [list(c) for c in zip(*(cells[:width] for _, cells in body), strict=True)]
+    return [[cells[column] for _, cells in body] for column in range(width)]
 
 
 def _shown(cells: Sequence[str]) -> str:
