@@ -582,7 +582,7 @@ class Record:
     @property
     def sensors(self) -> list[Sensor]:
         """All sensors in the order of the declaration."""
-        return self.declared.thermocouples.sensor
+        return [*self.declared.thermocouples.sensor]
 
     @property
     def used_sensors(self) -> list[Sensor]:

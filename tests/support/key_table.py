@@ -77,6 +77,10 @@ _SHOWN = {
     "tests/estimation/test_conditions_noise.py": (
         "ConditionsFile.noise FlightNoise.alpha_deg FlightNoise.density_relative FlightNoise.velocity_relative"
     ),
+    "tests/estimation/test_design.py": (
+        "InstrumentSet.bits InstrumentSet.name InstrumentSet.prior InstrumentSet.range_K InstrumentSet.rate_hz "
+        "InstrumentSet.sensor Design.instruments"
+    ),
     "tests/estimation/test_growing_noise.py": "Sensor.noise_per_K",
     "tests/estimation/test_ambient_check.py": (
         "AmbientCheck.T_K AmbientCheck.reading_K AmbientCheck.sigma_K RecordedSensor.ambient_check "
