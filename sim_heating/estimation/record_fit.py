@@ -43,7 +43,7 @@ from sim_heating.estimation.inference.likelihood import ReadingIntervals, middle
 from sim_heating.estimation.inference.model_error import ModelError
 from sim_heating.inputs.points import conditions_of_record, flow_of_record
 from sim_heating.inputs.record import Record
-from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
+from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature, stated_bias_K
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import Linearised, LinearMarch, Track
 from sim_heating.march.point import PointModel, initial_temperatures
@@ -670,16 +670,15 @@ def indications(
 
 
 def sensor_errors(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
-    """Errors of a sensor at parameter values; bias and drift 0, gain 1, the declared lag where these lack them.
+    """Errors of a sensor at parameter values; the declared bias and lag, drift 0, gain 1 where these lack them.
 
     values : dotted name -> value
 
     Used in docs/theory/estimation_statistics.md, equation 1.
     """
-    bias, gain, drift = (
-        values.get(sensor_parameter(sensor, kind), SENSOR[kind].value) for kind in ("bias", "gain", "drift")
-    )
-    return SensorErrors(bias, gain, lag_s(sensor, values), drift)
+    gain, drift = (values.get(sensor_parameter(sensor, kind), SENSOR[kind].value) for kind in ("gain", "drift"))
+    bias_K = values.get(sensor_parameter(sensor, "bias"), stated_bias_K(sensor))
+    return SensorErrors(bias_K, gain, lag_s(sensor, values), drift)
 
 
 def lag_s(sensor: Sensor, values: Mapping[str, float]) -> float:
@@ -718,7 +717,22 @@ def sensor_definition(record: Record, name: str) -> Parameter | None:
         raise InputError(f"{record.name}: `{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, by_name)}")
     if kind not in SENSOR:
         raise InputError(f"{record.name}: `{name}`: unknown sensor parameter `{kind}`{suggestion(kind, SENSOR)}")
-    return replace(SENSOR[kind], value=by_name[sensor].tau_s) if kind == "tau_s" else SENSOR[kind]
+    return error_definition(by_name[sensor], kind)
+
+
+def error_definition(sensor: Sensor, kind: str) -> Parameter:
+    """Definition of an error of a sensor; what the sensor states is its value, and the mean of its prior.
+
+    kind : `bias` [K], `gain` [-], `tau_s` [s] or `drift` [K/s]
+
+    Parameters b, g and tau of docs/theory/estimation_statistics.md, equation 1.
+    """
+    if kind == "tau_s":
+        return replace(SENSOR[kind], value=sensor.tau_s)
+    if kind == "bias" and sensor.bias_prior_K is not None:
+        mean_K, sigma_K = sensor.bias_prior_K
+        return replace(SENSOR[kind], value=mean_K, sigma=sigma_K)
+    return SENSOR[kind]
 
 
 def least_sigma_K(sensor: Sensor) -> float:

@@ -102,13 +102,53 @@ class FileReference(Declared):
     file: FileOfRecord = Field(min_length=1, description="a file name in the record's directory")
 
 
+class AmbientCheck(Declared):
+    """A reading before the flight, where the whole wall has a known temperature."""
+
+    reading_K: float = Field(gt=0.0, description="what the thermocouple read in K")
+    T_K: float = Field(gt=0.0, description="temperature of the wall by another thermometer in K")
+    sigma_K: float = Field(default=0.0, ge=0.0, le=50.0, description="standard deviation of that temperature in K")
+
+
+class RecordedSensor(Sensor):
+    """A thermocouple of a record: it may have been checked before the flight."""
+
+    ambient_check: AmbientCheck | None = Field(default=None, description="reading of a wall at a known temperature")
+
+    @property
+    def bias_prior_K(self) -> tuple[float, float] | None:
+        """Mean and standard deviation of what the thermocouple reads too much [K]; None where nothing states them.
+
+        mean = (reading - c(T)) / c'(T),   sigma^2 = sigma_T^2 + noise^2 + LSB^2 / 12 + calibration_sigma^2
+
+        c the calibration curve. The last term is there because a curve that holds at ambient may be off where it is
+        hot.
+        Source: docs/theory/equations.md, section 5.
+        """
+        check = self.ambient_check
+        if check is None:
+            return super().bias_prior_K
+        reading_K = self.noise_floor_K(self.noise_sigma_K or 0.0)
+        curve = np.polynomial.Polynomial(self.calibration or [0.0, 1.0])
+        mean_K = float((check.reading_K - curve(check.T_K)) / curve.deriv()(check.T_K))
+        return mean_K, math.hypot(check.sigma_K, reading_K, self.calibration_sigma_K or 0.0)
+
+    @model_validator(mode="after")
+    def _check_ambient(self) -> RecordedSensor:
+        prior = self.bias_prior_K
+        if self.ambient_check is not None and prior is not None and prior[1] == 0.0:
+            rule = "knows the bias without an error; add `sigma_K` of the wall's temperature, or `noise_sigma_K`"
+            raise LocatedError((("ambient_check",), rule))
+        return self
+
+
 class Thermocouples(FileReference):
     """The measurements and their sensors."""
 
     file: FileOfRecord = Field(
         default="thermocouples.csv", min_length=1, description="a file name in the record's directory"
     )
-    sensor: list[Sensor] = Field(min_length=1, description="[[thermocouples.sensor]], at least one")
+    sensor: list[RecordedSensor] = Field(min_length=1, description="[[thermocouples.sensor]], at least one")
 
 
 class FlightUncertainty(Declared):
@@ -542,7 +582,7 @@ class Record:
     @property
     def sensors(self) -> list[Sensor]:
         """All sensors in the order of the declaration."""
-        return self.declared.thermocouples.sensor
+        return [*self.declared.thermocouples.sensor]
 
     @property
     def used_sensors(self) -> list[Sensor]:

@@ -21,7 +21,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -53,6 +53,7 @@ from sim_heating.heating.recorded.layout import read_fields, states_columns
 from sim_heating.inputs.declared_effects import KEYS
 from sim_heating.inputs.record import Segments
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
+from sim_heating.thermal.stack import Sensor
 from sim_heating.trajectory.spec import TrajectorySpec
 
 
@@ -259,6 +260,38 @@ class DesignLimits(Declared):
         return pair
 
 
+class InstrumentSet(Declared):
+    """Instruments that a design compares with the declared ones.
+
+    sensor : in place of the control point's
+    bits, range_K, rate_hz : of all thermocouples, scaled alike, in place of their own
+    prior  : standard deviation of parameters before the flight, by dotted name, in place of the design's
+    """
+
+    quantities: ClassVar = {"prior": None}
+
+    name: str = Field(min_length=1, description="name of the set")
+    sensor: list[Sensor] | None = Field(
+        default=None, min_length=1, description="[[design.instruments.sensor]], in place of the control point's"
+    )
+    bits: int | None = Field(default=None, ge=1, le=32, description="bits of the recorder word of all")
+    range_K: list[float] | None = Field(default=None, description="[lowest, highest] of all in K")
+    rate_hz: float | None = Field(default=None, gt=0.0, description="samples a second of all")
+    prior: dict[str, Annotated[float, Field(gt=0.0)]] = Field(
+        default={}, description="standard deviations above 0, by dotted name"
+    )
+
+    def sensors(self, declared: Sequence[Sensor]) -> tuple[Sensor, ...]:
+        """The thermocouples of the set, of which `declared` are those of the control point.
+
+        raises : InputError where a sensor with the words of the set would have none of its keys right
+        """
+        words = {k: v for k, v in (("bits", self.bits), ("range_K", self.range_K)) if v is not None}
+        of_set = self.sensor if self.sensor is not None else declared
+        where = f"[[design.instruments]] {self.name}"
+        return tuple(check(s.model_dump(exclude_none=True) | words, Sensor, where) for s in of_set)
+
+
 class Design(Declared):
     """Aim of the design of a scenario's manoeuvres.
 
@@ -272,6 +305,7 @@ class Design(Declared):
     before_s, after_s : time of the samples that are used before and after a manoeuvre
     evaluations    : number of designs that the search evaluates
     flights        : numbers of equal flights for which bounds are reported
+    instruments    : that are compared with the declared ones; by default words, rates, clocks and places
     """
 
     quantities: ClassVar = {"prior": None}
@@ -288,6 +322,7 @@ class Design(Declared):
     flights: list[int] = Field(default=[1, 2, 4], min_length=1)
     vary: list[DesignVariable] = Field(default=[])
     limits: DesignLimits = DesignLimits()
+    instruments: list[InstrumentSet] = Field(default=[], description="[[design.instruments]], sets to compare")
 
     @field_validator("prior")
     @classmethod

@@ -45,16 +45,26 @@ def indicated_temperature(
 
     temperature_K : (sample,) temperature of the thermocouple [K], behind its lag, at the sample times less the clock
                     skew
-    errors        : gain [-], bias [K] and drift [K/s] in T' = gain T + bias + drift t'; none by default
+    errors        : gain [-], bias [K] and drift [K/s] in T' = gain T + bias + drift t'; by default those that the
+                    sensor states, the bias of its check before the flight
     since_s       : (sample,) time since the first sample of the record [s], where the sensor drifts
     returns       : (sample,) indicated temperature [K]
 
     Source: docs/theory/equations.md, section 5.
     """
-    wrong = errors or SensorErrors()
+    wrong = errors or SensorErrors(stated_bias_K(sensor))
     # A sum and not the argument of the kernel, which would be compiled for arrays a second time.
     drifted = np.asarray(temperature_K, dtype=float) + wrong.drift_K_s / wrong.gain * since_s
     return indicated_kernel(drifted, wrong.gain, wrong.bias_K, calibration_coefficients(sensor))
+
+
+def stated_bias_K(sensor: Sensor) -> float:
+    """What a sensor is known to read too much [K], the mean of its prior; 0 where nothing states it.
+
+    Source: docs/theory/equations.md, section 5.
+    """
+    prior_K = sensor.bias_prior_K
+    return 0.0 if prior_K is None else prior_K[0]
 
 
 def lags_s(sensors: Sequence[Sensor], errors: Mapping[str, SensorErrors]) -> tuple[float, ...]:

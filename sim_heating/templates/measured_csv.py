@@ -43,6 +43,9 @@ from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
 from sim_heating.templates.loggers.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
 from sim_heating.templates.loggers.readings import OPEN, far_off, fault_codes, lost_codes
 from sim_heating.templates.loggers.text import decoded, is_clock, is_number, rows_block, text_block
+from sim_heating.templates.loggers.thermocouples import EXAMPLE as THERMOCOUPLE_EXAMPLE
+from sim_heating.templates.loggers.thermocouples import EmfColumn, is_emf, temperatures_K
+from sim_heating.templates.quantities import quantity
 
 TIME, TEMPERATURE, FLUX, UNUSED = "time", "temperature", "heat flux", "not used"
 SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
@@ -165,7 +168,7 @@ class _Head:
     """Name, unit and cells of a column before it is known what it holds.
 
     stated : unit in the file, known or not; empty where there is none
-    source : `in the name`, `in line 3`
+    emf    : what the readings were converted from, `mV of type K`; empty where they are as in the file
     """
 
     name: str
@@ -173,6 +176,7 @@ class _Head:
     numbers: Numbers
     clock: Clock | None
     cells: list[str]
+    emf: str = ""
 
     @property
     def has_clock_cells(self) -> bool:
@@ -188,6 +192,8 @@ def read_measured_csv(
     temperature_unit: str | None = None,
     flux: str | None = None,
     flux_unit: str | None = None,
+    thermocouple: str | None = None,
+    reference_junction: str | None = None,
     period_s: float | None = None,
     separator: str | None = None,
     decimal: str | None = None,
@@ -202,6 +208,8 @@ def read_measured_csv(
 
     time, temperatures, flux    : names of columns, without or with their units
     time_unit, temperature_unit, flux_unit : units in place of the guessed ones; `hh:mm` or `mm:ss` for a clock
+    thermocouple : type, `K`, whose emf the file holds; columns in mV or V are then temperatures
+    reference_junction : temperature of its terminals with its unit, or the name of a column of it
     period_s  : time between rows [s], where the file has no time that increases
     separator, decimal, dates : between cells; decimal sign; order of dates, `day-first`, `month-first`, `year-first`
     lost      : readings that stand for a lost sample
@@ -217,7 +225,8 @@ def read_measured_csv(
             key: value
             for key, value in {
                 "time": time, "time_unit": time_unit, "temperature_unit": temperature_unit, "flux_unit": flux_unit,
-                "period_s": period_s, "separator": separator, "decimal": decimal, "dates": dates, "repeated": repeated,
+                "thermocouple": thermocouple, "reference_junction": reference_junction, "period_s": period_s,
+                "separator": separator, "decimal": decimal, "dates": dates, "repeated": repeated,
                 "sheet": sheet, "lost": [*base.lost, *lost],
             }.items()
             if value is not None
@@ -229,7 +238,9 @@ def read_measured_csv(
     block = _long_as_wide(_with_unit_column(_block(path, chosen)))
     heads, signs = _heads(block, chosen)
     heads = _joined_dates(heads)
+    heads, junction = _emf_as_temperature(block, heads, chosen)
     columns = [_column(h) for h in heads]
+    columns = [replace(c, kind=UNUSED, reason="reference junction") if c.name == junction else c for c in columns]
     columns = _as_declared(path, columns, base)
     columns = _as_chosen(path, columns, chosen.time, temperatures, flux)
     clock, zero_s, notes = _time(block, heads, columns, chosen)
@@ -486,7 +497,7 @@ def _column(head: _Head) -> CsvColumn:
     if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
         return CsvColumn(name, UNUSED, "", values, "a counter, by its name" + note)
     if by_unit is not None and not (by_unit == TIME and by_name == TEMPERATURE):
-        return CsvColumn(name, by_unit, unit, values, f"unit {unit}" + note)
+        return CsvColumn(name, by_unit, unit, values, (head.emf or f"unit {unit}") + note)
     if by_name == UNUSED:
         return CsvColumn(name, UNUSED, "", values, "name and unit say nothing" + note)
     is_reading = by_name == TIME or not re.search(NO_READING, name)
@@ -504,6 +515,59 @@ def _reason_of_few_numbers(head: _Head) -> str:
     if is_named and head.numbers.torn >= 0:
         return ""
     return "most cells hold no number" if full else "all cells are empty"
+
+
+def _emf_as_temperature(block: Block, heads: list[_Head], chosen: LoggerLayout) -> tuple[list[_Head], str]:
+    """Columns of a thermocouple's emf as temperatures [K], and the name of the column of its reference junction.
+
+    raises : InputError where one of the options lacks the other, or no column is an emf
+    """
+    letter, junction = chosen.thermocouple, chosen.reference_junction
+    if letter is None:
+        if junction is not None:
+            raise InputError(
+                f"--reference-junction {junction}: needs the type of the thermocouple; add --thermocouple K"
+            )
+        return heads, ""
+    if junction is None:
+        rule = "needs the temperature of the terminals, or its column; add --reference-junction 25degC"
+        raise InputError(f"--thermocouple {letter}: {rule}")
+    file = display_path(block.path)
+    reference_K, column = _reference_junction_K(block, heads, junction)
+    converted_heads = []
+    for head in heads:
+        unit = head.stated or head.numbers.unit
+        if head.name != column and is_emf(unit) and not re.search(NO_READING, head.name):
+            emf = EmfColumn(f"{file}, column {head.name}", unit, head.numbers.values, block.lines)
+            T_K = temperatures_K(letter, emf, reference_K, chosen.lost)
+            numbers = replace(head.numbers, values=T_K, unit="")
+            head = replace(head, stated="K", numbers=numbers, emf=f"{unit} of type {letter}")
+        converted_heads.append(head)
+    if all(new is old for new, old in zip(converted_heads, heads, strict=True)):
+        raise InputError(
+            f"--thermocouple {letter}: no column of {file} states a voltage, such as `TC1 (mV)`; leave it out"
+        )
+    return converted_heads, column
+
+
+def _reference_junction_K(block: Block, heads: Sequence[_Head], junction: str) -> tuple[FloatArray | float, str]:
+    """Temperature of the reference junction [K], for each row with the name of its column, or one for all."""
+    head = next((h for h in heads if junction in (h.name, f"{h.name} ({h.stated})", f"{h.name} [{h.stated}]")), None)
+    if head is None:
+        names = [h.name for h in heads]
+        try:
+            return quantity(junction, "K", "--reference-junction", "--reference-junction 25degC"), ""
+        except InputError as error:
+            raise InputError(f"{error}{suggestion(junction, names)}") from None
+    unit = head.stated or head.numbers.unit
+    to_K = converted(unit, "K")
+    if not unit or to_K is None:
+        rule = f"states `{unit}`, no unit of temperature" if unit else "states no unit of temperature"
+        raise InputError(
+            f"--reference-junction {junction}: the column in {display_path(block.path)} {rule}; name it with one, "
+            f"such as `{head.name} (degC)`, or give a temperature"
+        )
+    return to_K.factor * head.numbers.values + to_K.offset, head.name
 
 
 # Choices -------------------------------------------------------------------------------------------------------------
@@ -854,9 +918,14 @@ def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayou
         return column
     stated = head.stated or head.numbers.unit
     if stated and not re.fullmatch(REMARK, stated.strip()):
+        state = (
+            f"{THERMOCOUPLE_EXAMPLE} for an emf,"
+            if is_emf(stated) and kind == TEMPERATURE
+            else f"{UNIT_OPTIONS[kind]},"
+        )
         raise InputError(
             f"{file}, column {column.name}: `{stated}` is not a unit of {kind} that is known; state it, "
-            f"{UNIT_OPTIONS[kind]}, or name the columns that are read, --temperature COLUMN"
+            f"{state} or name the columns that are read, --temperature COLUMN"
         )
     return column
 

@@ -545,6 +545,9 @@ class Sensor(Declared):
     bits: int | None = Field(default=None, ge=1, le=32, description="bits of the recorder word")
     range_K: list[float] | None = Field(default=None, description="[lowest, highest] in K")
     calibration: list[float] | None = Field(default=None, min_length=2, description="[c0, c1, ...], indicated K")
+    calibration_sigma_K: float | None = Field(
+        default=None, gt=0.0, le=500.0, description="error of that curve, or of the type's emf: sigma of the bias in K"
+    )
     tau_s: float = Field(default=0.0, ge=0.0, description="time constant of a first-order lag in s")
     used: bool = True
     rate_hz: float | None = Field(default=None, gt=0.0, description="samples a second")
@@ -618,6 +621,14 @@ class Sensor(Declared):
         Independent of the part of `noise_sigma_K`: their variances add up. Source: docs/theory/equations.md, section 5.
         """
         return np.asarray(self.noise_per_K * np.abs(indicated_K))
+
+    @property
+    def bias_prior_K(self) -> tuple[float, float] | None:
+        """Mean and standard deviation of what the thermocouple reads too much [K]; None where nothing states them.
+
+        Source: docs/theory/equations.md, section 5.
+        """
+        return None if self.calibration_sigma_K is None else (0.0, self.calibration_sigma_K)
 
     def noise_floor_K(self, sigma_K: float) -> float:
         """Root mean square error of a reading [K] from random noise and the recorder word, sqrt(sigma^2 + LSB^2 / 12).

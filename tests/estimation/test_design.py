@@ -24,6 +24,7 @@ from sim_heating.estimation.design.information import (
     marginalise,
     sensitivity_to_effort,
 )
+from sim_heating.estimation.design.instruments import instrumentation
 from sim_heating.estimation.design.planned_flight import PlannedFlight, Planner
 from sim_heating.estimation.design.search import DesignSearch
 from sim_heating.inputs.scenario import load_scenario, with_design
@@ -147,6 +148,30 @@ def test_longer_words_faster_samples_and_better_clocks_never_hurt(planned_experi
     assert bound(planned_experiment.with_priors({PRESSURE.name: 0.02})) <= bound(planned_experiment)
     for channel in planned_experiment.channels:
         assert bound(planned_experiment.without([channel.sensor.name])) >= bound(planned_experiment)
+
+
+def test_stated_instruments_take_the_place_of_those_of_the_program(planned: PlannedFlight) -> None:
+    """Longer words and a better clock, stated as sets, have the bounds of those words and that prior."""
+    sets = [
+        {"name": "all alike", "bits": 12, "range_K": [255.0, 1644.0]},
+        {"name": "one clock", "prior": {CLOCK_SKEW.name: 0.01}},
+    ]
+    planner = planner_of(instruments=sets)
+    variants = {v.change: v for v in instrumentation(planner, planned, NAMES, {})}
+    assert list(variants) == ["as declared", "all alike", "one clock"]
+    declared = planner.experiment(planned, NAMES, {})
+    of_clock = declared.with_priors({CLOCK_SKEW.name: 0.01})
+    np.testing.assert_allclose(variants["one clock"].sigma, of_clock.sigma(planner.targets), rtol=1e-9)
+    assert {s.range_K[1] for s in planner.compared["all alike"].sensors if s.range_K} == {1644.0}
+    assert np.all(variants["all alike"].sigma <= variants["as declared"].sigma)
+
+
+def test_a_stated_instrument_outside_the_wall_is_refused_by_its_set() -> None:
+    deep = {"name": "TC9", "column": "tc9_K", "depth_m": 0.5, "noise_sigma_K": 1.0}
+    with pytest.raises(InputError, match=r"\[\[design.instruments\]\] deep: `sensor\[0\].depth_m`: 0.5 m is outside"):
+        planner_of(instruments=[{"name": "deep", "sensor": [deep]}])
+    with pytest.raises(InputError, match=r"`clock\.skw`"):
+        planner_of(instruments=[{"name": "clock", "prior": {"clock.skw": 0.01}}])
 
 
 def test_more_pressure_cools_the_coating_and_warms_the_tile(planner, planned):

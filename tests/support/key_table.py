@@ -72,12 +72,20 @@ _SHOWN = {
         "LoggerLayout.dates LoggerLayout.decimal LoggerLayout.flux_unit LoggerLayout.lost "
         "LoggerLayout.period_s LoggerLayout.repeated "
         "LoggerLayout.separator LoggerLayout.sheet LoggerLayout.temperature_unit LoggerLayout.time "
-        "LoggerLayout.time_unit LoggerLayout.title"
+        "LoggerLayout.time_unit LoggerLayout.title LoggerLayout.thermocouple LoggerLayout.reference_junction"
     ),
     "tests/estimation/test_conditions_noise.py": (
         "ConditionsFile.noise FlightNoise.alpha_deg FlightNoise.density_relative FlightNoise.velocity_relative"
     ),
+    "tests/estimation/test_design.py": (
+        "InstrumentSet.bits InstrumentSet.name InstrumentSet.prior InstrumentSet.range_K InstrumentSet.rate_hz "
+        "InstrumentSet.sensor Design.instruments"
+    ),
     "tests/estimation/test_growing_noise.py": "Sensor.noise_per_K",
+    "tests/estimation/test_ambient_check.py": (
+        "AmbientCheck.T_K AmbientCheck.reading_K AmbientCheck.sigma_K RecordedSensor.ambient_check "
+        "Sensor.calibration_sigma_K"
+    ),
     "tests/heating/test_effect_window.py": (
         "EffectWindow.high EffectWindow.low EffectWindow.name EffectWindow.ramp EffectWindow.variable "
         "ScenarioEffect.window"

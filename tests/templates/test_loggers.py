@@ -19,6 +19,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from sim_heating.cli.path_check import descriptions
 from sim_heating.inputs.record import load_record
+from sim_heating.templates.loggers.layout_file import read_layout, write_layout
 from sim_heating.templates.loggers.readings import far_off
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, MeasuredCsv, read_measured_csv
 from tests.support.verification.loggers import LOGGERS, READ
@@ -139,7 +140,7 @@ def rows(head: str, cells: list[str]) -> Path:
 PLAIN = ["0,20.5", "2,21.5", "4,22.5"]
 
 
-@pytest.mark.parametrize("unit", ["mV", "counts", "xyz", "Ohm", "deg", "type K"])
+@pytest.mark.parametrize("unit", ["counts", "xyz", "Ohm", "deg", "type K"])
 @pytest.mark.parametrize("form", ["TC1 [{}]", "TC1 ({})", '"TC1, {}"', "TC1/{}"])
 def test_a_unit_that_is_no_temperature_is_refused_with_the_option(unit: str, form: str) -> None:
     path = rows(f"Time (s),{form.format(unit)}", PLAIN)
@@ -150,6 +151,55 @@ def test_a_unit_that_is_no_temperature_is_refused_with_the_option(unit: str, for
     ):
         read_measured_csv(path)
     assert read_measured_csv(path, temperature_unit="degC").of_kind(TEMPERATURE)[0].si[0] == 293.65
+
+
+PRINTED_MV = {"B": (1000.0, 4.834), "E": (500.0, 37.005), "J": (500.0, 27.393), "K": (1000.0, 41.276),
+              "N": (1000.0, 36.256), "R": (1000.0, 10.506), "S": (1000.0, 9.587), "T": (100.0, 4.279)}  # fmt: skip
+"""Temperature [degC] and emf [mV] of the printed tables of ITS-90, for a junction at 0 degC."""
+
+
+@pytest.mark.parametrize("letter", sorted(PRINTED_MV))
+def test_an_emf_is_the_temperature_of_its_printed_table(letter: str) -> None:
+    T_C, emf_mV = PRINTED_MV[letter]
+    path = rows("Time (s),TC1 (mV)", [f"{t},{emf_mV}" for t in (0, 2, 4)])
+    measured = read_measured_csv(path, thermocouple=letter, reference_junction="0degC")
+    microvolt_K = {"B": 0.06, "R": 0.05, "S": 0.05}.get(letter, 0.02)  # half of the last printed digit, over the slope
+    assert measured.of_kind(TEMPERATURE)[0].si[0] == pytest.approx(T_C + 273.15, abs=microvolt_K)
+
+
+def test_the_emf_of_the_reference_junction_is_added() -> None:
+    """At 25 degC the tables print 1.000 mV for type K, and 5.096 mV at 124.3 degC."""
+    cells = ["0,4.096,25.0", "2,4096e-3,298.15", "4,4.096,25.0"]
+    at_25 = read_measured_csv(rows("Time (s),TC1 (mV),ref", cells), thermocouple="K", reference_junction="25 degC")
+    assert at_25.of_kind(TEMPERATURE)[0].si[0] == pytest.approx(124.3 + 273.15, abs=0.05)
+    in_column = rows("Time (s),TC1 (V),ref (K)", ["0,0.004096,298.15", "2,0.004096,299.15", "4,0.004096,298.15"])
+    measured = read_measured_csv(in_column, thermocouple="K", reference_junction="ref")
+    T_K = measured.of_kind(TEMPERATURE)[0].si
+    assert T_K[0] == at_25.of_kind(TEMPERATURE)[0].si[0]
+    assert T_K[1] - T_K[0] == pytest.approx(40.6 / 41.4, rel=0.02)  # slopes of type K at 25 and 124 degC, uV/K
+    assert [c.reason for c in measured.columns if c.name == "ref"] == ["reference junction"]
+
+
+def test_an_emf_without_its_thermocouple_is_refused_with_the_option() -> None:
+    path = rows("Time (s),TC1 (mV)", ["0,0.1", "2,0.2", "4,60.0"])
+    with pytest.raises(InputError, match=r"`mV` is not .* state it, --thermocouple K --reference-junction 25degC"):
+        read_measured_csv(path)
+    with pytest.raises(InputError, match="add --reference-junction"):
+        read_measured_csv(path, thermocouple="K")
+    with pytest.raises(InputError, match=r"t\.csv, column TC1, row 4: 60 mV is no emf of type K .* --lost=60"):
+        read_measured_csv(path, thermocouple="K", reference_junction="25degC")
+    measured = read_measured_csv(path, thermocouple="K", reference_junction="25degC", lost=[60.0])
+    assert np.isnan(measured.of_kind(TEMPERATURE)[0].si[2])
+    with pytest.raises(InputError, match=r"no column .* states a voltage"):
+        read_measured_csv(rows("Time (s),TC1 (C)", PLAIN), thermocouple="K", reference_junction="25degC")
+
+
+def test_a_layout_keeps_the_thermocouple_of_its_recorder(tmp_path: Path) -> None:
+    path = rows("Time (s),TC1 (mV)", ["0,0.1", "2,0.2", "4,0.4"])
+    first = read_measured_csv(path, thermocouple="S", reference_junction="25degC")
+    write_layout(tmp_path / "layout.toml", first.stated, path.name, {})
+    second = read_measured_csv(path, layout=read_layout(tmp_path / "layout.toml"))
+    np.testing.assert_array_equal(second.of_kind(TEMPERATURE)[0].si, first.of_kind(TEMPERATURE)[0].si)
 
 
 def test_a_time_that_is_not_read_is_refused_and_no_counter_takes_its_place() -> None:

@@ -129,6 +129,16 @@ OF_THE_OTHER_RECORD = (
 )
 @click.option("--temperature-unit", metavar="UNIT", help="unit of the temperatures: K, degC, degF")
 @click.option("--flux-unit", metavar="UNIT", help="unit of a column of heat flux: W/m2, kW/m2, BTU/ft2-s")
+@click.option(
+    "--thermocouple",
+    type=click.Choice(["B", "E", "J", "K", "N", "R", "S", "T"]),
+    help="type of the thermocouples whose emf, in mV or V, the file holds (ITS-90)",
+)
+@click.option(
+    "--reference-junction",
+    metavar="TEMPERATURE|COLUMN",
+    help="temperature of their terminals, 25degC, or the column of it; 0degC for an ice bath",
+)
 @click.option("--separator", metavar="SIGN", help="between cells: `;`, `,`, tab, blank")
 @click.option("--decimal", type=click.Choice([".", ","]), help="decimal sign; the other one is that of thousands")
 @click.option("--dates", type=click.Choice(["day-first", "month-first", "year-first"]), help="order of dates")
@@ -182,6 +192,8 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
         temperatures=options["temperatures"],
         temperature_unit=options["temperature_unit"],
         flux_unit=options["flux_unit"],
+        thermocouple=options["thermocouple"],
+        reference_junction=options["reference_junction"],
         period_s=options["period"],
         separator=None if options["separator"] is None else signs.get(options["separator"], options["separator"]),
         decimal=options["decimal"],

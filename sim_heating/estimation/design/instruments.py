@@ -36,14 +36,27 @@ class InstrumentVariant:
 def instrumentation(
     planner: Planner, flown: PlannedFlight, names: tuple[str, ...], priors: dict[str, float]
 ) -> list[InstrumentVariant]:
-    """Bounds on the wanted parameters with the declared instruments, which come first, and with others."""
+    """Bounds on the wanted parameters with the declared instruments, which come first, and with others.
+
+    The others are those that the scenario states; where it states none, words, clocks, rates and places of this module.
+    """
     declared = planner.experiment(flown, names, priors)
-    every = [
-        ("as declared", "as declared", declared),
-        *_variants_without_march(declared),
-        *_variants_with_march(planner, flown, names, priors),
-    ]
+    others = (
+        _stated(planner, flown, names, priors)
+        if planner.compared
+        else (*_variants_without_march(declared), *_variants_with_march(planner, flown, names, priors))
+    )
+    every = [("as declared", "as declared", declared), *others]
     return [InstrumentVariant(kind, change, e.sigma(planner.targets)) for kind, change, e in every]
+
+
+def _stated(
+    planner: Planner, flown: PlannedFlight, names: tuple[str, ...], priors: dict[str, float]
+) -> Iterator[tuple[str, str, Experiment]]:
+    """The sets of instruments that the scenario states."""
+    for of_set in planner.design.instruments:
+        instruments = planner.compared[of_set.name]
+        yield "stated", of_set.name, planner.experiment(flown, names, priors | of_set.prior, instruments)
 
 
 def _variants_without_march(declared: Experiment) -> Iterator[tuple[str, str, Experiment]]:

@@ -21,7 +21,7 @@ from sim_heating.estimation.starts import free_start
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, node_weights
 from sim_heating.inputs.points import conditions_behind_walls, excess_behind_interface, point_of_vehicle
 from sim_heating.inputs.record import Record, Segments, make_record
-from sim_heating.inputs.scenario import Design, Scenario
+from sim_heating.inputs.scenario import Design, InstrumentSet, Scenario
 from sim_heating.inputs.sensor_model import indicated_temperature, sample_times
 from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.march.ensemble import Ensemble, condition_history, histories
@@ -30,7 +30,7 @@ from sim_heating.march.linearised import LinearMarch, Track
 from sim_heating.march.mesh_choice import meshes_on_flights, pack
 from sim_heating.simulation.run import SOURCES, models_of
 from sim_heating.simulation.synthesize import declaration, flown_columns, ratio_table_of, turbulent_table_of
-from sim_heating.thermal.stack import Sensor
+from sim_heating.thermal.stack import Sensor, sensor_problems
 from sim_heating.trajectory.flight import Flight, Window
 from sim_heating.trajectory.spec import Manoeuvre
 
@@ -113,10 +113,23 @@ class Planner:
         self.effects = (*self.point.effects, *scenario.effects(self.point.name))
         self.targets = _target_parameters(scenario, self.design)
         self.instruments = Instruments(self.point.sensors, scenario.declared.measurements.rate_hz)
+        self.compared = {of_set.name: self._instruments(of_set) for of_set in self.design.instruments}
         named = {"parameters": self.targets, "nuisance": self.design.nuisance or (), "prior": self.design.prior}
+        named |= {f"instruments `{i.name}`, prior": i.prior for i in self.design.instruments}
         for key, names in named.items():
             with error_context(f"{display_path(scenario.path)}, [design], {key}"):
                 self._check_names(tuple(names))
+
+    def _instruments(self, of_set: InstrumentSet) -> Instruments:
+        """The instruments of a set at the control point.
+
+        raises : InputError where a sensor lies outside the wall, or two have one name
+        """
+        where = f"{display_path(self.scenario.path)}, [[design.instruments]] {of_set.name}"
+        sensors, construction = of_set.sensors(self.point.sensors), self.point.construction
+        for (i, key), text in sensor_problems(construction.stack, sensors, construction.materials):
+            raise InputError(f"{where}: `sensor[{i}].{key}`: {text}")
+        return Instruments(sensors, of_set.rate_hz or self.instruments.rate_hz)
 
     def _check_names(self, names: Sequence[str]) -> None:
         """Check that names are those of unknowns of a design."""

@@ -150,4 +150,4 @@ def _track(
         point.model, point.mesh, empty, march, None, columns if columns.shape[1] else None,
         noise_K2_s=options.node_noise_K_sqrt_s**2, disturbance=wanders,
     )  # fmt: skip
-    return track, {n: priors[n] if n in priors else default_prior(point.model, n) for n in names}
+    return track, {n: priors[n] if n in priors else default_prior(point.model, n, point.sensors) for n in names}

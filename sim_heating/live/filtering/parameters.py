@@ -9,8 +9,9 @@ import numpy as np
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
-from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Parameter
+from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.filter.online import Prior
+from sim_heating.estimation.record_fit import error_definition
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.stack import Sensor
 
@@ -48,15 +49,16 @@ def is_of_march(name: str) -> bool:
     return not name.startswith(SENSOR_PREFIX) and name != CLOCK_SKEW.name
 
 
-def default_prior(model: PointModel, name: str) -> Prior:
+def default_prior(model: PointModel, name: str, sensors: Sequence[Sensor] = ()) -> Prior:
     """Prior of a parameter that none was given for: its definition's, and a wide one for the heating ratio.
 
-    model : of the control point;  name : dotted name, or that of a sensor's error
+    model : of the control point;  name : dotted name, or that of a sensor's error;  sensors : of the point
 
     The derivative of a ratio may change it by half over a usual range of its variable; a scale may be off by half.
     """
     if name.startswith(SENSOR_PREFIX):
-        definition: Parameter = SENSOR[name.rpartition(".")[2]]
+        stem, _, kind = name.removeprefix(SENSOR_PREFIX).rpartition(".")
+        definition = next((error_definition(s, kind) for s in sensors if s.name == stem), SENSOR[kind])
         return Prior(definition.value, definition.sigma)
     if name == CLOCK_SKEW.name:
         return Prior(CLOCK_SKEW.value, CLOCK_SKEW.sigma)

@@ -63,6 +63,12 @@ class LoggerLayout(Declared):
     )
     temperature_unit: str | None = Field(default=None, description="unit of temperatures that state none")
     flux_unit: str | None = Field(default=None, description="unit of heat fluxes that state none")
+    thermocouple: Literal["B", "E", "J", "K", "N", "R", "S", "T"] | None = Field(
+        default=None, description="type whose emf the columns in mV or V hold"
+    )
+    reference_junction: str | None = Field(
+        default=None, description="temperature of its terminals with a unit, as `25degC`, or the name of its column"
+    )
     lost: list[float] = Field(default_factory=list, description="readings that stand for a lost sample")
     column: list[LayoutColumn] = Field(default_factory=list, description="columns that are used; all where absent")
 

@@ -15,7 +15,7 @@ import numpy as np
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import COMMON_LAG, EFFECT_PREFIX, SENSOR, Parameter
 from sim_heating.estimation.inference.observability import CONSTANT_BELOW, constant_variables
-from sim_heating.estimation.record_fit import sensor_parameter
+from sim_heating.estimation.record_fit import error_definition, sensor_parameter
 from sim_heating.heating.edge_flow import edge_flow_columns
 from sim_heating.heating.effects import Effect, EffectUse, SearchStart, effects, use
 from sim_heating.heating.effects.transition import BY_RE_THETA, TRANSITION
@@ -235,7 +235,7 @@ def _sensor_candidates(record: Record, effect: str, forms: Sequence[tuple[str, .
             if forms is LAGS:
                 tried += _lag_candidates(replace(SENSOR["tau_s"], name=names[0], value=sensor.tau_s))
                 continue
-            start = {n: SENSOR[e].value for n, e in zip(names, errors, strict=True)}
+            start = {n: error_definition(sensor, e).value for n, e in zip(names, errors, strict=True)}
             tried.append(Candidate(effect, (), names, start, active=names, with_prior=names))
     return tried
 
