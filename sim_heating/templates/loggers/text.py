@@ -244,7 +244,7 @@ def _columns_of_rows(file: str, body: Sequence[Row], width: int) -> list[list[st
         if len(cells) < width or any(cells[width:]):
             rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
             raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
-    return [list(c) for c in zip(*(cells[:width] for _, cells in body), strict=True)]
+    return [[cells[k] for _, cells in body] for k in range(width)]
 
 
 def _shown(cells: Sequence[str]) -> str:
