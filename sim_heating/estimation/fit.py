@@ -499,6 +499,7 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
     problem.correct_meshes(nothing)
     evaluation = problem.evaluate(nothing)
     if not np.isfinite(evaluation.log_likelihood):
+        problem.samples(nothing)  # says what failed
         raise RunError(
             f"{record.name}: the declared model cannot be marched along the record; see `sim-heating predict`"
         )
@@ -636,6 +637,7 @@ def _information(problem: FitProblem, values: FloatArray) -> FloatArray:
     check_parameters(problem.parameters)
     evaluation = problem.evaluate(values)
     if not np.isfinite(evaluation.log_likelihood):
+        problem.samples(values)  # says what failed
         raise RunError("estimate: the declared model cannot be marched along the record; see `sim-heating predict`")
     return evaluation.information + np.diag([p.sigma**-2.0 for p in problem.parameters])
 

@@ -305,6 +305,7 @@ def _judged(
     _set_noise(problem, dict(zip(labels, begin, strict=True)))
     evaluation = problem.evaluate(begin)
     if not np.isfinite(evaluation.log_likelihood):
+        problem.samples(begin)  # says what failed
         raise RunError(f"{record.name}: the declared model cannot be marched along it; see `sim-heating predict`")
     order = [labels.index(name) for name in names]
     information = evaluation.information[np.ix_(order, order)]

@@ -276,6 +276,48 @@ def test_a_value_that_no_step_can_use_is_stated_with_effect_and_time(effects_fol
     assert re.search(rf"{POINT}: effect `alpha-growth` \(.*steepness\.py\): {re.escape(said)} for every input", message)
 
 
+def with_root_of_negative(effects_folder: Path) -> None:
+    """An effect that is no number below Mach 22, which most of a flight is."""
+    source = re.sub(r"return .*", "return 1.0 + B[p] * math.sqrt(B[c + flight.mach] - 22.0)", SOURCE)
+    (effects_folder / "steepness.py").write_text(source.replace("\nfrom", "\nimport math\n\nfrom", 1))
+
+
+@pytest.mark.parametrize("noise", [(), ("--process-noise", "0.1")])
+def test_an_estimate_names_the_effect_that_is_no_number(effects_folder, capsys, noise):
+    with_root_of_negative(effects_folder)
+    record, names = str(ROOT / "scenarios" / "records" / "practice" / "p06"), "ratio.scale,effect.alpha-growth.growth"
+    assert main(["estimate", record, "--parameters", names, *noise, "--out", "fit"]) == 1
+    assert re.search(r"failed: .*effect `alpha-growth` \(.*steepness\.py\): is nan at time_s", capsys.readouterr().err)
+    assert not Path("fit").exists()
+
+
+def test_a_search_leaves_out_an_effect_that_is_no_number_and_says_so(effects_folder):
+    with_root_of_negative(effects_folder)
+    record = load_record(ROOT / "scenarios" / "records" / "practice" / "p06")
+    with pytest.warns(UserWarning, match=r"effect `alpha-growth` .*: is nan at time_s .*; it is not looked for"):
+        tried = candidates(record, conditions_of_record(record))
+    assert "alpha-growth" not in {c.name for c in tried}
+
+
+def test_a_link_names_the_effect_that_is_no_number_and_goes_on(effects_folder, capsys):
+    with_root_of_negative(effects_folder)
+    shutil.copytree(ROOT / "aircraft_data" / "capsule", "capsule")
+    with Path("capsule/control_points/FACE.toml").open("a") as file:
+        file.write('\n[[effect]]\nname = "alpha-growth"\nparameters = { growth = 0.1 }\nsource = "test"\n')
+    frames = [
+        {"time_s": t, "altitude_m": 6e4, "velocity_m_s": 7000.0 - 40.0 * t, "alpha_deg": 20.0, "beta_deg": 0.0}
+        for t in range(30)
+    ]
+    Path("t.jsonl").write_text("".join(json.dumps(frame) + "\n" for frame in frames))
+    source = '[[source]]\nkind = "json-lines"\ntransport = "file"\nfile = "t.jsonl"\n'
+    Path("link.toml").write_text(f'format = "link/1"\nvehicle = "capsule"\ncontrol_points = ["FACE"]\n{source}')
+    assert main(["live", "link.toml", "--headless", "--out", "out"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert re.search(
+        r"FACE: effect `alpha-growth` \(.*steepness\.py\): is nan at time_s .*; nothing is estimated", said
+    )
+
+
 def test_lists_in_place_of_tuples_make_the_same_effect():
     values = {"name": "growth", "mode": "model"}
     parameter = model_parameter("factor", "stack.emissivity_factor")

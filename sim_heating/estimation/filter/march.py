@@ -43,6 +43,7 @@ from sim_heating.estimation.filter.kernel import (
     begin_march,
     filter_steps,
 )
+from sim_heating.heating.effects.compiled import unusable_value
 from sim_heating.march.linearised import LinearMarch, Track, initial_profile
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import Mesh
@@ -311,6 +312,9 @@ class FilterMarch(LinearMarch):
         for i, point in enumerate(points):
             step = state.diverged[self._lane_of[i]]
             if step:
+                for use in point.model.effects:
+                    if fault := unusable_value(use, self.time_s, self.histories[point.flight]):
+                        raise RunError(f"{point.model.name}: {fault}")
                 raise RunError(
                     f"{point.model.name}: the filter diverged at {self.time_s[step]:g} s: a temperature fell below "
                     "0 K or is not a number; the noise declared does not fit the readings"

@@ -439,8 +439,10 @@ def _wanders(estimate: PointEstimate) -> bool:
 def _root(covariance: FloatArray, least: float = 0.0, most: int | None = None) -> FloatArray:
     """(n, direction) root X of a covariance, X X^T; directions of a standard deviation above `least`, the largest ones.
 
-    covariance : (n, n), in units that may differ by many decades
+    covariance : (n, n), in units that may differ by many decades; a root that is not finite where it is not
     """
+    if not np.all(np.isfinite(covariance)):
+        return np.full((len(covariance), 1), np.nan)
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0)) if least == 0.0 else np.ones(len(covariance))
     scale = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))

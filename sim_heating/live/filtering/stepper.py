@@ -17,6 +17,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import LANES
 from sim_heating.estimation.filter.online import FilterSnapshot, OnlineFilter, PointEstimate
+from sim_heating.heating.effects.compiled import unusable_value
 from sim_heating.live.filtering.estimates import InnovationLog, LiveOptions, Notices
 from sim_heating.live.filtering.marching import StepMarch
 from sim_heating.live.filtering.points import ConditionsOfFrame, line_tolerance
@@ -116,6 +117,7 @@ class Stepper:
         self.past = Past(options.again_s)
         self.steps, self.is_due = 0, False
         self._is_provisional = False
+        self._diverged: set[str] = set()
         # frames since the last step, all on one straight line
         self._passed: list[Frame] = []
         # times of the first frame and of the first reading that came after they had been passed [s]
@@ -272,6 +274,7 @@ class Stepper:
         last, past = self.now, self.past
         vectors, rows = self.conditions(frame), self.march.readings_between(last.time_s, frame.time_s)
         self.log.append(self.march.march(self.filters, last.time_s, last.vectors, frame.time_s, vectors, rows))
+        self._tell_diverged(last, frame.time_s, vectors)
         if past.begun_s is not None:
             is_due = past.count_due(last.time_s) < past.count_due(frame.time_s)
             estimates = tuple(e.values for f in self.filters for e in f.estimates()) if is_due else None
@@ -287,6 +290,18 @@ class Stepper:
             self._release(last)
         self._passed = []
         self.steps += 1
+
+    def _tell_diverged(self, last: Moment, time_s: float, vectors: FloatArray) -> None:
+        """Tell of points that have diverged in a step, once, with the effect of a user that is at fault."""
+        for i in (k * LANES + lane for k, f in enumerate(self.filters) for lane in f.diverged):
+            point = self.source.points[i]
+            if point.name in self._diverged:
+                continue
+            self._diverged.add(point.name)
+            ends, history = np.array([last.time_s, time_s]), np.stack([last.vectors[i], vectors[i]])
+            faults = (unusable_value(use, ends, history) for use in point.model.effects)
+            fault = next(filter(None, faults), "a temperature of the estimate is below 1 K or not a number")
+            self.notices.tell(f"{point.name}: {fault}; nothing is estimated there from {time_s:g} s on")
 
     def snapshot(self, time_s: float, decided_s: float, values: FloatArray, vectors: FloatArray) -> Moment:
         """The present state as a moment that can be returned to."""

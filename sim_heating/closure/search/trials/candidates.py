@@ -6,6 +6,7 @@ their parameters are those of the record.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -18,9 +19,11 @@ from sim_heating.estimation.inference.observability import CONSTANT_BELOW, const
 from sim_heating.estimation.record_fit import error_definition, sensor_parameter
 from sim_heating.heating.edge_flow import edge_flow_columns
 from sim_heating.heating.effects import Effect, EffectUse, SearchStart, effects, use
+from sim_heating.heating.effects.compiled import PROBED_WALLS_K, unusable_value, values_along
 from sim_heating.heating.effects.transition import BY_RE_THETA, TRANSITION
 from sim_heating.inputs.points import flow_of_record
 from sim_heating.inputs.record import Record
+from sim_heating.march.ensemble import condition_history
 
 SENSOR_EFFECT, LAG_EFFECT = "sensor-bias", "sensor-lag"
 """Names in a closure report of a wrong bias or gain of a thermocouple, and of a lag of one or of all of them."""
@@ -109,12 +112,25 @@ def candidates(
             and not effect.last_resort
             and not (effect.lags and lag_taken)
             and all(_varies(v, flown) for v in effect.needs)
+            and _is_usable(effect, flown)
         ):
             tried += _effect_candidates(effect, record, flown)
     for name, forms in ((SENSOR_EFFECT, BIASES), (LAG_EFFECT, LAGS)):
         if name not in excluded:
             tried += _sensor_candidates(record, name, forms)
     return tried
+
+
+def _is_usable(effect: Effect, flown: Conditions) -> bool:
+    """Whether a user's effect has a value that a step can use all along the samples; else that is a warning."""
+    if effect.built_in or effect.kernel is None or effect.needs_wall:
+        return True
+    nominal, history = use(effect.name, {}), condition_history(flown)
+    values = values_along(nominal, history, np.full(len(history), PROBED_WALLS_K[0]))
+    if np.all(np.isfinite(values) & ((values >= 0.0) | (effect.mode == "add"))):
+        return True
+    warnings.warn(f"{unusable_value(nominal, flown.time_s, history)}; it is not looked for", stacklevel=2)
+    return False
 
 
 def _with_criteria(record: Record, flown: Conditions) -> Conditions:
