@@ -141,15 +141,10 @@ class RecordFit:
         total : changed in place;  contribution : (unknown of the record,) or (unknown, unknown)
         """
         at = self.index if contribution.ndim == 1 else np.ix_(self.index, self.index)
-        if self.has_ties:  # += with an index array would add only one of two tied unknowns
+        if len(set(self.index.tolist())) < len(self.index):  # += would add only one of two unknowns that are tied
             np.add.at(total, at, contribution)
         else:
             total[at] += contribution
-
-    @property
-    def has_ties(self) -> bool:
-        """Whether two unknowns of the record are one parameter."""
-        return len(set(self.index.tolist())) < len(self.index)
 
     @cached_property
     def error_root_K(self) -> FloatArray | None:
@@ -162,21 +157,6 @@ class RecordFit:
             return None
         S, F = self.error_responses_K
         return np.column_stack([error.sigma * S @ error.correlation_root, F])
-
-    def take_error(self, other: RecordFit) -> None:
-        """Give the record the error of another fit's model, with its roots where both have the same readings.
-
-        other : over the same or another record; its responses are in [K]
-
-        Roots of docs/theory/model_error.md, equations 1 and 3: they follow from the places and the noise of the
-        readings, whatever the model.
-        """
-        self.model_error = other.model_error
-        if other.model_error is None or self.flight_names != other.flight_names:
-            return
-        places, others = ([(c.number, r.sample_s[c.samples].tolist()) for c in r.channels] for r in (self, other))
-        if places == others and np.array_equal(self.reading_noise_K, other.reading_noise_K):
-            self.error_root_K, self.error_factor = other.error_root_K, other.error_factor
 
     @property
     def error_responses_K(self) -> tuple[FloatArray, FloatArray]:
@@ -393,6 +373,22 @@ class RecordFit:
             lagged.temperature_K - plain.temperature_K[:, at], lagged.rate_K_s - plain.rate_K_s[:, at],
             lagged.sensitivity - plain.sensitivity[:, at], lagged.per_lag_K_s,
         )  # fmt: skip
+
+
+def take_error(record_fit: RecordFit, other: RecordFit) -> None:
+    """Give a record the error of another fit's model, with its roots where both have the same readings.
+
+    other : over the same or another record; its responses are in [K]
+
+    Roots of docs/theory/model_error.md, equations 1 and 3: they follow from the places and the noise of the readings,
+    whatever the model.
+    """
+    record_fit.model_error = other.model_error
+    if other.model_error is None or record_fit.flight_names != other.flight_names:
+        return
+    places, others = ([(c.number, r.sample_s[c.samples].tolist()) for c in r.channels] for r in (record_fit, other))
+    if places == others and np.array_equal(record_fit.reading_noise_K, other.reading_noise_K):
+        record_fit.error_root_K, record_fit.error_factor = other.error_root_K, other.error_factor
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ from sim_heating.estimation.inference.model_error import ErrorSize, HeatingError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
 from sim_heating.estimation.problem import FitOptions, FitProblem
-from sim_heating.estimation.record_fit import SKEW_SPAN_S, PredictedSamples, RecordFit, least_sigma_K
+from sim_heating.estimation.record_fit import SKEW_SPAN_S, PredictedSamples, RecordFit, least_sigma_K, take_error
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record
@@ -525,7 +525,7 @@ def candidate_problem(
     # a record without the readings of a broken sensor may have fewer times
     correction = np.broadcast_to(record_fit.correction_K, (len(record.sensors), len(record_fit.sample_s)))
     problem_fit.correction_K = correction[:, np.isin(record_fit.sample_s, problem_fit.sample_s)]
-    problem_fit.take_error(record_fit)
+    take_error(problem_fit, record_fit)
     return problem.with_flight_unknowns() if record_fit.flight_names else problem
 
 
