@@ -16,7 +16,7 @@ from sim_heating.march.history import march_points
 from sim_heating.planning.dispersion.entry import BATCH, DIFFERENCE, SOBOL, Batch, DispersedEntry
 from sim_heating.planning.dispersion.flight import COMPLETED, LEFT_ATMOSPHERE, entry_with_deviations
 from sim_heating.planning.dispersion.results import batches_of, evaluate, exact_slopes, notes_of
-from sim_heating.planning.dispersion.spec import DispersedInput
+from sim_heating.planning.dispersion.spec import DispersedInput, Dispersion
 from sim_heating.planning.dispersion.statistics import (
     AdditiveModel,
     additive_model,
@@ -469,3 +469,10 @@ def test_shipped_dispersions_can_be_flown(path):
     entry = DispersedEntry(load_study(path))
     entry.check()
     assert entry.dimensions > len(entry.inputs)
+
+
+def test_a_list_of_very_many_inputs_is_refused():
+    one = {"name": "entry.gamma_deg", "sigma": 0.02}
+    assert len(Dispersion(input=[one] * 256).input) == 256
+    with pytest.raises(ValueError, match="at most 256"):
+        Dispersion(input=[one] * 257)

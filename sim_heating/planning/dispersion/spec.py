@@ -144,7 +144,7 @@ class Dispersion(Declared):
     step_s: float = Field(default=0.5, gt=0.0, le=5.0)
     thermal_step_s: float = Field(default=4.0, gt=0.0, le=60.0)
     spot_checks: int = Field(default=0, ge=0, le=100)
-    input: list[DispersedInput] = Field(default=[])
+    input: list[DispersedInput] = Field(default=[], max_length=256)
 
     @field_validator("quantiles")
     @classmethod
