@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +73,7 @@ def _update_row(row: Mapping[str, Any], updated: UpdatedTables) -> dict[str, Any
         "revision": revision.revision,
         "parameters": {n: p.model_dump() for n, p in update.parameters.items()},
         "not_written": update.not_written,
-        "held": {name: asdict(withheld) for name, withheld in updated.held.items()},
+        "held": {name: withheld.model_dump() for name, withheld in updated.held.items()},
         "chi_square": revision.chi_square,
         "degrees_of_freedom": revision.degrees_of_freedom,
     }
