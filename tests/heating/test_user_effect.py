@@ -299,6 +299,7 @@ def test_a_search_leaves_out_an_effect_that_is_no_number_and_says_so(effects_fol
     assert "alpha-growth" not in {c.name for c in tried}
 
 
+@pytest.mark.thorough
 def test_a_link_names_the_effect_that_is_no_number_and_goes_on(effects_folder, capsys):
     with_root_of_negative(effects_folder)
     shutil.copytree(ROOT / "aircraft_data" / "capsule", "capsule")
