@@ -19,7 +19,7 @@ from sim_heating.estimation.inference.observability import CONSTANT_BELOW, const
 from sim_heating.estimation.record_fit import error_definition, sensor_parameter
 from sim_heating.heating.edge_flow import edge_flow_columns
 from sim_heating.heating.effects import Effect, EffectUse, SearchStart, effects, use
-from sim_heating.heating.effects.compiled import PROBED_WALLS_K, unusable_value, values_along
+from sim_heating.heating.effects.compiled import unusable_value
 from sim_heating.heating.effects.transition import BY_RE_THETA, TRANSITION
 from sim_heating.inputs.points import flow_of_record
 from sim_heating.inputs.record import Record
@@ -123,14 +123,12 @@ def candidates(
 
 def _is_usable(effect: Effect, flown: Conditions) -> bool:
     """Whether a user's effect has a value that a step can use all along the samples; else that is a warning."""
-    if effect.built_in or effect.kernel is None or effect.needs_wall:
+    if effect.built_in or effect.needs_wall:
         return True
-    nominal, history = use(effect.name, {}), condition_history(flown)
-    values = values_along(nominal, history, np.full(len(history), PROBED_WALLS_K[0]))
-    if np.all(np.isfinite(values) & ((values >= 0.0) | (effect.mode == "add"))):
-        return True
-    warnings.warn(f"{unusable_value(nominal, flown.time_s, history)}; it is not looked for", stacklevel=2)
-    return False
+    fault = unusable_value(use(effect.name, {}), flown.time_s, condition_history(flown))
+    if fault:
+        warnings.warn(f"{fault}; it is not looked for", stacklevel=2)
+    return not fault
 
 
 def _with_criteria(record: Record, flown: Conditions) -> Conditions:
