@@ -250,7 +250,8 @@ def read_measured_csv(
     by_name = {h.name: h for h in heads}
     columns = [_with_unit(block, c, by_name[c.name], chosen, base) if c.kind in kinds else c for c in columns]
     columns = _guessed(block, columns, kinds)
-    columns = [_without_lost(block, c, chosen.lost) if c.kind in kinds else c for c in columns]
+    codes = {c.name: () if by_name[c.name].emf else chosen.lost for c in columns}  # an emf is without them already
+    columns = [_without_lost(block, c, codes[c.name]) if c.kind in kinds else c for c in columns]
     columns, rows, row_notes = _rows_kept(block, columns, kept, kinds)
     named = f"names in line {block.names_line}" if block.has_names else "no names"
     measured = MeasuredCsv(
@@ -538,8 +539,9 @@ def _emf_as_temperature(block: Block, heads: list[_Head], chosen: LoggerLayout) 
     for head in heads:
         unit = head.stated or head.numbers.unit
         if head.name != column and is_emf(unit) and not re.search(NO_READING, head.name):
-            emf = EmfColumn(f"{file}, column {head.name}", unit, head.numbers.values, block.lines)
-            T_K = temperatures_K(letter, emf, reference_K, chosen.lost)
+            read = _without_codes(block, CsvColumn(head.name, TEMPERATURE, unit, head.numbers.values, ""), chosen.lost)
+            emf = EmfColumn(f"{file}, column {head.name}", unit, read.values, block.lines)
+            T_K = temperatures_K(letter, emf, reference_K)
             numbers = replace(head.numbers, values=T_K, unit="")
             head = replace(head, stated="K", numbers=numbers, emf=f"{unit} of type {letter}")
         converted_heads.append(head)

@@ -17,7 +17,6 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.units import converted
-from sim_heating.templates.loggers.readings import lost_codes
 
 ICE_K = 273.15
 STEP_K = 0.25
@@ -55,14 +54,11 @@ def is_emf(unit: str) -> bool:
     return bool(unit) and converted(unit, "V") is not None
 
 
-def temperatures_K(
-    letter: str, column: EmfColumn, reference_K: FloatArray | float, lost: Sequence[float] = ()
-) -> FloatArray:
+def temperatures_K(letter: str, column: EmfColumn, reference_K: FloatArray | float) -> FloatArray:
     """Temperatures of the junction that a column of emf states.
 
     letter      : type of the thermocouple
     reference_K : temperature of the reference junction [K], one for each row or one for all
-    lost        : readings that stand for a lost sample, in the unit of the column
     returns     : (row,) [K], NaN where a sample or its reference is lost
     raises      : InputError with the row of the first emf that no temperature of the type has
 
@@ -70,12 +66,11 @@ def temperatures_K(
     """
     to_volts = converted(column.unit, "V")
     assert to_volts is not None  # `is_emf` was asked
-    values = np.where(lost_codes(column.values, lost), np.nan, column.values)
     nodes_K, nodes_V = _reference_function(letter)
     _check_reference(letter, reference_K, nodes_K, column)
     rising = nodes_K >= ICE_K + LEAST_C.get(letter, COLDEST_C) - 1e-9
     low_K, low_V = nodes_K[rising][0], nodes_V[rising][0]
-    total_V = to_volts.factor * values + np.interp(reference_K, nodes_K, nodes_V)
+    total_V = to_volts.factor * column.values + np.interp(reference_K, nodes_K, nodes_V)
     outside = np.flatnonzero((total_V < low_V) | (total_V > nodes_V[-1]))
     if outside.size:
         i = int(outside[0])
