@@ -284,7 +284,7 @@ class InstrumentSet(Declared):
     def sensors(self, declared: Sequence[Sensor]) -> tuple[Sensor, ...]:
         """The thermocouples of the set, of which `declared` are those of the control point.
 
-        raises : InputError where a sensor with the words of the set would have none of its keys right
+        raises : InputError, one line a problem, where a sensor does not go with the words of the set
         """
         words = {k: v for k, v in (("bits", self.bits), ("range_K", self.range_K)) if v is not None}
         of_set = self.sensor if self.sensor is not None else declared

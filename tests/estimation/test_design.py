@@ -162,7 +162,8 @@ def test_stated_instruments_take_the_place_of_those_of_the_program(planned: Plan
     declared = planner.experiment(planned, NAMES, {})
     of_clock = declared.with_priors({CLOCK_SKEW.name: 0.01})
     np.testing.assert_allclose(variants["one clock"].sigma, of_clock.sigma(planner.targets), rtol=1e-9)
-    assert {s.range_K[1] for s in planner.compared["all alike"].sensors if s.range_K} == {1644.0}
+    compared = {of_set.name: instruments for of_set, instruments in planner.compared}
+    assert {s.range_K[1] for s in compared["all alike"].sensors if s.range_K} == {1644.0}
     assert np.all(variants["all alike"].sigma <= variants["as declared"].sigma)
 
 

@@ -54,8 +54,7 @@ def _stated(
     planner: Planner, flown: PlannedFlight, names: tuple[str, ...], priors: dict[str, float]
 ) -> Iterator[tuple[str, str, Experiment]]:
     """The sets of instruments that the scenario states."""
-    for of_set in planner.design.instruments:
-        instruments = planner.compared[of_set.name]
+    for of_set, instruments in planner.compared:
         yield "stated", of_set.name, planner.experiment(flown, names, priors | of_set.prior, instruments)
 
 

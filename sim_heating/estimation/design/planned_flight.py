@@ -113,7 +113,7 @@ class Planner:
         self.effects = (*self.point.effects, *scenario.effects(self.point.name))
         self.targets = _target_parameters(scenario, self.design)
         self.instruments = Instruments(self.point.sensors, scenario.declared.measurements.rate_hz)
-        self.compared = {of_set.name: self._instruments(of_set) for of_set in self.design.instruments}
+        self.compared = tuple((of_set, self._instruments(of_set)) for of_set in self.design.instruments)
         named = {"parameters": self.targets, "nuisance": self.design.nuisance or (), "prior": self.design.prior}
         named |= {f"instruments `{i.name}`, prior": i.prior for i in self.design.instruments}
         for key, names in named.items():
