@@ -250,8 +250,9 @@ def read_measured_csv(
     by_name = {h.name: h for h in heads}
     columns = [_with_unit(block, c, by_name[c.name], chosen, base) if c.kind in kinds else c for c in columns]
     columns = _guessed(block, columns, kinds)
-    codes = {c.name: () if by_name[c.name].emf else chosen.lost for c in columns}  # an emf is without them already
-    columns = [_without_lost(block, c, codes[c.name]) if c.kind in kinds else c for c in columns]
+    emfs = {h.name for h in heads if h.emf}  # without lost codes already; a time made of a period is no column
+    lost = {c.name: () if c.name in emfs else chosen.lost for c in columns}
+    columns = [_without_lost(block, c, lost[c.name]) if c.kind in kinds else c for c in columns]
     columns, rows, row_notes = _rows_kept(block, columns, kept, kinds)
     named = f"names in line {block.names_line}" if block.has_names else "no names"
     measured = MeasuredCsv(
