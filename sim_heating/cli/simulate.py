@@ -44,14 +44,13 @@ MEMBERS = click.option(
 )
 
 
-def _members(members: tuple[tuple[Path, float], ...], bands: bool) -> Sequence[Member]:
+def _members(members: tuple[tuple[Path, float], ...], bands: bool, root: Path | None) -> Sequence[Member]:
     """Members of the bands; raises InputError for a member without bands."""
-    from sim_heating.estimation.report.estimate_file import read_estimate
-    from sim_heating.planning.bands import DECLARED, Member
+    from sim_heating.planning.bands import DECLARED, read_member
 
     if members and not bands:
         raise InputError("--member: is for --bands; add that option")
-    return tuple(Member(read_estimate(path), weight) for path, weight in members) or DECLARED
+    return tuple(read_member(path, weight, root) for path, weight in members) or DECLARED
 
 
 @click.command()
@@ -90,7 +89,7 @@ def run(
     )
 
     loaded = load_scenario(scenario, root=root)
-    of_bands = _members(members, bands) if bands or members else ()
+    of_bands = _members(members, bands, root) if bands or members else ()
     if plot_points is not None:
         require_points(plot_points, loaded.names, "--plot-points")
     require_writable(out, "run", expected=files_of(loaded), inputs=loaded.files)
@@ -348,7 +347,7 @@ def predict(
         for record in loaded
     ]
 
-    of_bands = _members(members, bands) if bands or members else ()
+    of_bands = _members(members, bands, root) if bands or members else ()
 
     def predicted(progress: Progress) -> list[Prediction]:
         predictions = []

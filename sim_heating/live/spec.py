@@ -270,14 +270,17 @@ class AheadSettings(Declared):
                   conditions held are the only future
     keep        : probability with which stopping the manoeuvre at "knock it off by" keeps all limits
     every_s     : time between two predictions
+    heating_error : relative error of the heating that the bands allow for beside the estimate, one standard deviation;
+                  0 for none
     """
 
-    quantities: ClassVar = dict.fromkeys(("horizon_s", "keep", "every_s"))
+    quantities: ClassVar = dict.fromkeys(("horizon_s", "keep", "every_s", "heating_error"))
 
     horizon_s: float = Field(default=60.0, ge=10.0, le=600.0)
     scenario: str | None = None
     keep: float = Field(default=0.95, gt=0.5, lt=1.0)
     every_s: float = Field(default=1.0, ge=0.1, le=60.0)
+    heating_error: float = Field(default=0.0, ge=0.0, le=1.0)
 
 
 class MissingSettings(Declared):

@@ -5,15 +5,19 @@ The point is marched with each independent error at one standard deviation, all 
 
     wall, effects   declared standard deviations, as in the uncertainty of a peak
     ratio table     its sigma along the flight, of one sign all along
-    estimate        the principal axes of an estimate's covariance, in place of the priors of its parameters
+    estimate        the principal axes of an estimate's covariance, in place of the priors of its parameters, with what
+                    the errors of the flights that were fitted add to it (considered.py)
     model           the smooth relative error of the heating (docs/theory/model_error.md, equation 1)
     trajectory      the directions in which a recorded flight may be another (there, equation 2)
 
-Several estimates that the evidence cannot tell apart, each with its weight, make a mixture of normal distributions.
+A wall that the fit of an estimate held, and that is other than declared, has given it other values: both change at
+once. The size of the heating's error is what the fitted flights say, or that of its prior. Several sizes, and several
+estimates that the evidence cannot tell apart, each with its weight, make a mixture of normal distributions.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -24,12 +28,12 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
-from sim_heating.closure.prior.model_error import MEASURED_FLIGHT, flight_error, heating_error_prior
+from sim_heating.closure.prior.model_error import MEASURED_FLIGHT, heating_error_prior
 from sim_heating.closure.revise.evidence import fitted_use
-from sim_heating.credibility.facts.contributors import SCALE, dispersed_temperatures, varied_models
+from sim_heating.credibility.facts.contributors import SCALE, WALL, dispersed_temperatures, varied_models
 from sim_heating.estimation.inference.error_likelihood import STEP, scaled_heating
-from sim_heating.estimation.inference.model_error import HeatingErrorPrior, ModelError
-from sim_heating.estimation.report.estimate_file import Estimate
+from sim_heating.estimation.inference.model_error import HeatingErrorPrior
+from sim_heating.estimation.report.estimate_file import Estimate, read_estimate
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.effects import combined_uses, use
 from sim_heating.heating.ratio.uncertainty import declared_ratio, declared_sigma
@@ -38,21 +42,39 @@ from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import SensorErrors, lags_s
 from sim_heating.march.history import BAND_PROBABILITY, Band, sensed_temperatures, values_at
 from sim_heating.march.point import PointModel
+from sim_heating.planning.considered import Considered, considered, fitted_records, other_flight
 from sim_heating.simulation.predict import Prediction, predict
 from sim_heating.simulation.run import RunResult
 
-KNOTS_A_TIME = 3.0
-"""Knots of the model's error in each of its correlation times."""
+KNOTS_A_TIME, MOST_KNOTS = 2.0, 100
+"""Knots of the model's error in each of its shortest correlation times, and their largest number."""
+HEATED = 0.01
+"""Part of the highest heating of a cold wall above which the model's error has knots of its own [-]."""
+LEAST_WEIGHT = 1e-3
+"""Weight of a size of the heating's error below which it is left out [-]."""
 MODEL_PREFIXES = ("ratio.", "stack.", "back.", EFFECT_PREFIX)
 """Beginnings of the parameters of an estimate that another flight of its point has; clocks and sensors are of one."""
 
 
 @dataclass(frozen=True)
 class Member:
-    """An estimate as one possible truth, with its weight."""
+    """An estimate as one possible truth, with its weight, and what it leaves open for another flight.
+
+    considered : None where nothing but its own covariance is known
+    """
 
     estimate: Estimate | None
     weight: float = 1.0
+    considered: Considered | None = None
+
+
+def read_member(path: str | os.PathLike[str], weight: float = 1.0, root: str | os.PathLike[str] | None = None) -> Member:
+    """An estimate.json, or the one in a directory, as a member.
+
+    raises : InputError where it cannot be read, or the records that were fitted are not there or were changed
+    """
+    estimate = read_estimate(path)
+    return Member(estimate, weight, considered(estimate, fitted_records(estimate, path, root)))
 
 
 DECLARED = (Member(None),)
@@ -62,11 +84,12 @@ DECLARED = (Member(None),)
 @dataclass(frozen=True, eq=False)
 class Spread:
     """Temperatures of one member: mean and standard deviation (channel, time) [K], and that of the surface at its
-    hottest time by source [K]."""
+    hottest time by source [K]; weight : of one of several sizes of the heating's error."""
 
     mean_K: FloatArray
     sigma_K: FloatArray
     sources: dict[str, float]
+    weight: float = 1.0
 
 
 def estimated_names(model: PointModel, estimate: Estimate) -> dict[str, str]:
@@ -107,21 +130,52 @@ def estimated_model(model: PointModel, estimate: Estimate, values: dict[str, flo
     )
 
 
-def _estimate_errors(model: PointModel, estimate: Estimate) -> Iterator[PointModel]:
+def _estimate_errors(model: PointModel, member: Member) -> Iterator[PointModel]:
     """Models one standard deviation along each principal axis of an estimate's covariance, within its bounds."""
+    estimate = member.estimate
+    assert estimate is not None  # asked for with one
+    names, labels = estimated_names(model, estimate), list(estimate.parameters)
+    at = [labels.index(n) for n in names.values()]
+    known = estimate.covariance(labels) if member.considered is None else member.considered.covariance
+    sigma = np.sqrt(np.diag(known)[at])
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    variance, axes = np.linalg.eigh(known[np.ix_(at, at)] / np.outer(scale, scale))
+    for v, axis in zip(np.maximum(variance, 0.0), axes.T, strict=True):
+        yield _moved(model, estimate, np.sqrt(v) * sigma * axis)
+
+
+def _moved(
+    model: PointModel, estimate: Estimate, step: FloatArray, others: dict[str, float] | None = None
+) -> PointModel:
+    """A point with estimates that differ by a step, to either side, as far as their bounds allow.
+
+    others : values of further parameters, which are of the one side alone
+    """
     names = estimated_names(model, estimate)
     values = estimate.values(list(names.values()))
-    sigma = np.array([estimate.parameters[n].sigma for n in names.values()])
-    variance, axes = np.linalg.eigh(estimate.correlation_matrix(list(names.values())))
     fitted = estimated_model(model, estimate)
-    limits = np.array([(d.lower, d.upper) for d in map(fitted.definition, names)])
-    for v, axis in zip(np.maximum(variance, 0.0), axes.T, strict=True):
-        step = np.sqrt(v) * sigma * axis
-        there = next(
-            (t for t in (values + step, values - step) if np.all((t >= limits[:, 0]) & (t <= limits[:, 1]))),
-            np.clip(values + step, limits[:, 0], limits[:, 1]),
-        )
-        yield estimated_model(model, estimate, dict(zip(names, there.tolist(), strict=True)))
+    low, high = np.array([(d.lower, d.upper) for d in map(fitted.definition, names)]).T
+    sides = (values + step,) if others else (values + step, values - step)
+    there = next((t for t in sides if np.all((t >= low) & (t <= high))), np.clip(values + step, low, high))
+    return estimated_model(model, estimate, dict(zip(names, there.tolist(), strict=True)) | (others or {}))
+
+
+def _wall_error(model: PointModel, member: Member, name: str, changed: PointModel) -> PointModel:
+    """The point with another wall, and with the estimates that a fit which held the declared wall would then have.
+
+    name : of the parameter of the wall;  changed : the point with it a standard deviation off
+    """
+    estimate, known = member.estimate, member.considered
+    if estimate is None or known is None:
+        return changed
+    moves = known.moves.get(f"{name}{AT}{model.name}", known.moves.get(name))
+    if moves is None:
+        return changed
+    labels, place = list(estimate.parameters), changed.places[name]
+    value = float(changed.values[place])
+    off = value - float(estimated_model(model, estimate).values[place])
+    at = [labels.index(n) for n in estimated_names(model, estimate).values()]
+    return _moved(model, estimate, off * moves[at], {name: value})
 
 
 def _table_error(model: PointModel, flown: Conditions) -> Conditions | None:
@@ -136,21 +190,40 @@ def _table_error(model: PointModel, flown: Conditions) -> Conditions | None:
     return flown.with_columns(h_ref_kg_m2_s=flown["h_ref_kg_m2_s"] * (1.0 + relative))
 
 
-def spread(
+def heating_sizes(prior: HeatingErrorPrior | None, member: Member) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """(size,) standard deviations of the heating's error [-], (time,) correlation times [s], and the (time, size)
+    probability of each: as the flights behind a member say, else of the prior; None without an error.
+
+    Source: docs/theory/model_error.md, equation 5.
+    """
+    known = None if member.considered is None else member.considered.size
+    if known is not None:
+        return known.sizes, known.times_s, known.posterior
+    if prior is None or prior.relative == 0.0:
+        return None
+    sizes, times_s, log_weight = prior.grid()
+    return sizes, times_s, np.exp(log_weight)
+
+
+def spreads(
     model: PointModel,
     flown: Conditions,
-    estimate: Estimate | None = None,
+    member: Member = DECLARED[0],
     heating: HeatingErrorPrior | None = MEASURED_FLIGHT,
     flights: Sequence[Conditions] = (),
     longest_step_s: float = 1.0,
-) -> Spread:
-    """Mean and standard deviation of a point's temperatures along a flight.
+    *,
+    with_table: bool = True,
+) -> list[Spread]:
+    """Mean and standard deviation of a point's temperatures along a flight, for each size of the heating's error.
 
     model   : as declared;  flown : conditions with its reference heating
-    heating : of the smooth error of the heating; None for a model without one
+    heating : prior of the smooth error of the heating; None for a model without one
     flights : conditions of flights one standard deviation off, on the same times
+    with_table : whether the sigma of the ratio table counts
     raises  : RunError where a step did not converge
     """
+    estimate = member.estimate
     central = model if estimate is None else estimated_model(model, estimate)
     names = [] if estimate is None else list(estimated_names(model, estimate))
     hottest = int(np.argmax(flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]))
@@ -162,39 +235,64 @@ def spread(
 
     for name, changed in varied_models(central, flown, hottest):
         if name != SCALE and not any(central.same_parameter(name, n) for n in names):
-            add(name, changed, flown)
+            add(name, _wall_error(model, member, name, changed) if name in WALL else changed, flown)
     of_ratio = any(n.startswith("ratio.") for n in names)
-    table = None if of_ratio else _table_error(central, flown)
+    table = None if of_ratio or not with_table else _table_error(central, flown)
     if table is not None:
         add("ratio table", central, table)
-    for changed in () if estimate is None else _estimate_errors(model, estimate):
+    for changed in () if estimate is None else _estimate_errors(model, member):
         add("estimate", changed, flown)
     for other in flights:
         add("trajectory", central, other)
-    first = len(variants)
-    knots = np.zeros(0)
-    if heating is not None and heating.relative > 0.0:
-        count = int(np.ceil(np.ptp(flown.time_s) / heating.middle_s * KNOTS_A_TIME)) + 1
-        knots = np.linspace(flown.time_s[0], flown.time_s[-1], max(count, 2))
+    first, sizes, knots = len(variants), heating_sizes(heating, member), np.zeros(0)
+    if sizes is not None:
+        flux = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+        heated_s = flown.time_s[flux >= HEATED * np.max(flux)]
+        count = int(np.ceil(np.ptp(heated_s) / np.min(sizes[1]) * KNOTS_A_TIME)) + 1
+        knots = np.linspace(heated_s[0], heated_s[-1], min(max(count, 2), MOST_KNOTS))
         variants += [(central, c) for c in scaled_heating(flown, knots)]
     marched = dispersed_temperatures(central, flown, variants, longest_step_s)
     sensors = slice(2, None)
     marched[:, sensors] = [sensed_temperatures(central, flown.time_s, T) for T in marched[:, sensors]]
     changes = marched[1:] - marched[0]
-    if len(knots):
-        response = np.moveaxis(changes[first:], 0, -1) / STEP
-        none = response[..., :0]
-        error = ModelError(knots, flown.time_s, response, none, None, heating.relative, heating.middle_s)  # type: ignore[union-attr]
-        changes = np.concatenate(
-            [changes[:first], np.moveaxis(response @ (error.sigma * error.correlation_root), -1, 0)]
-        )
-        labels += ["model"] * len(knots)
     peak = int(np.argmax(marched[0, 0]))
     squares = dict.fromkeys(labels, 0.0)
-    for label, change in zip(labels, changes[:, 0, peak], strict=True):
+    for label, change in zip(labels, changes[:first, 0, peak], strict=True):
         squares[label] += float(change) ** 2
+    other = np.sum(changes[:first] ** 2, axis=0)
+    by_size, weights, expected = [other], np.ones(1), 0.0
+    if sizes is not None:
+        by_size, weights = _with_model_error(other, changes[first:], knots, *sizes)
+        expected = float(sum(w * (s - other)[0, peak] for w, s in zip(weights, by_size, strict=True)))
+        squares["model"] = expected
     ordered = dict(sorted(((n, s**0.5) for n, s in squares.items()), key=lambda item: -item[1]))
-    return Spread(marched[0], np.sqrt(np.sum(changes**2, axis=0)), ordered)
+    return [Spread(marched[0], np.sqrt(s), ordered, float(w)) for s, w in zip(by_size, weights, strict=True)]
+
+
+def _with_model_error(
+    other_K2: FloatArray,
+    changes_K: FloatArray,
+    knots_s: FloatArray,
+    sizes: FloatArray,
+    times_s: FloatArray,
+    probability: FloatArray,
+) -> tuple[list[FloatArray], FloatArray]:
+    """(channel, time) variances for each size of the heating's error [K2], and (size,) weights.
+
+    other_K2    : (channel, time) variance by all else
+    changes_K   : (knot, channel, time) change of the temperatures by STEP of the heating at each knot
+    probability : (time, size) of sizes [-] and correlation times [s]
+
+    Source: docs/theory/model_error.md, equations 1 and 5.
+    """
+    response, apart = np.moveaxis(changes_K, 0, -1) / STEP, np.abs(knots_s[:, np.newaxis] - knots_s)
+    by_time = [np.sum((response @ np.linalg.cholesky(np.exp(-apart / tau))) ** 2, axis=-1) for tau in times_s]
+    weights = np.sum(probability, axis=0)
+    kept = np.flatnonzero(weights > LEAST_WEIGHT)
+    variances = [
+        other_K2 + sizes[k] ** 2 * np.tensordot(probability[:, k] / weights[k], np.array(by_time), 1) for k in kept
+    ]
+    return variances, weights[kept] / np.sum(weights[kept])
 
 
 def mixture_quantile(spreads: Sequence[Spread], weights: Sequence[float], probability: float) -> FloatArray:
@@ -210,26 +308,29 @@ def mixture_quantile(spreads: Sequence[Spread], weights: Sequence[float], probab
     return np.asarray(0.5 * (low + high))
 
 
-def _band(spreads: Sequence[Spread], members: Sequence[Member]) -> Band:
-    weights = [m.weight for m in members]
+def band_of(of_members: Sequence[Sequence[Spread]], members: Sequence[Member]) -> Band:
+    """The 95 % band of a mixture of members, each with its temperatures for each size of the heating's error."""
+    every = [s for spread in of_members for s in spread]
+    weights = [m.weight * s.weight for m, spread in zip(members, of_members, strict=True) for s in spread]
     low, high = (
-        mixture_quantile(spreads, weights, p) for p in (0.5 - 0.5 * BAND_PROBABILITY, 0.5 + 0.5 * BAND_PROBABILITY)
+        mixture_quantile(every, weights, p) for p in (0.5 - 0.5 * BAND_PROBABILITY, 0.5 + 0.5 * BAND_PROBABILITY)
     )
-    heaviest = spreads[int(np.argmax(weights))]
+    heaviest = of_members[int(np.argmax([m.weight for m in members]))][0]
     sources = dict(heaviest.sources)
-    if len(spreads) > 1:
-        share, peak = np.asarray(weights) / np.sum(weights), int(np.argmax(heaviest.mean_K[0]))
-        means = np.array([s.mean_K[0, peak] for s in spreads])
+    if len(members) > 1:
+        share, peak = np.array([m.weight for m in members]), int(np.argmax(heaviest.mean_K[0]))
+        share = share / np.sum(share)
+        means = np.array([spread[0].mean_K[0, peak] for spread in of_members])
         sources["members"] = float(np.sqrt(share @ (means - share @ means) ** 2))
     return Band(low, high, sources)
 
 
 def _other_flights(record: Record, times_s: FloatArray) -> list[Conditions]:
     """Conditions of the flights that a record's trajectory may have been, one standard deviation off each."""
-    error = flight_error(record)
-    if error is None:
+    other = other_flight(record)
+    if other is None:
         return []
-    return [conditions_of_record(error.record(f)).at(times_s) for f in np.eye(len(error.directions))]
+    return [conditions_of_record(other.record(f)).at(times_s) for f in np.eye(len(other.directions))]
 
 
 def predict_with_band(
@@ -252,10 +353,16 @@ def predict_with_band(
     inside = t[(t >= flown.time_s[0]) & (t <= flown.time_s[-1])]
     times = np.union1d(flown.time_s, inside)
     others, prior = _other_flights(record, times), heating_error_prior(record)
-    spreads = [spread(declared, flown.at(times), m.estimate, prior, others) for m in members]
-    band = _band(spreads, members)
+    band = band_of([spreads(declared, flown.at(times), m, prior, others) for m in members], members)
     at_samples = replace(band, low_K=values_at(times, band.low_K, t), high_K=values_at(times, band.high_K, t))
     return replace(found, history=replace(found.history, band=at_samples))
+
+
+def members_of_point(members: Sequence[Member], name: str) -> list[Member]:
+    """The members for a control point: an estimate of another one leaves it as declared, with its weight."""
+    return [
+        m if m.estimate is None or m.estimate.control_point in (None, name) else Member(None, m.weight) for m in members
+    ]
 
 
 def with_bands(result: RunResult, members: Sequence[Member] = DECLARED) -> RunResult:
@@ -266,11 +373,7 @@ def with_bands(result: RunResult, members: Sequence[Member] = DECLARED) -> RunRe
     step_s = result.scenario.declared.heating.longest_step_s
     points = {}
     for name, point in result.points.items():
-        spreads = []
-        for member in members:
-            estimate = member.estimate
-            if estimate is not None and estimate.control_point not in (None, name):
-                estimate = None
-            spreads.append(spread(point.model, point.conditions, estimate, longest_step_s=step_s))
-        points[name] = replace(point, history=replace(point.history, band=_band(spreads, members)))
+        own = members_of_point(members, name)
+        found = [spreads(point.model, point.conditions, m, longest_step_s=step_s) for m in own]
+        points[name] = replace(point, history=replace(point.history, band=band_of(found, own)))
     return replace(result, points=points)

@@ -178,6 +178,23 @@ def test_wandering_ratio_is_carried_on_with_its_long_run_uncertainty(source, fut
     assert sigma[-1] >= later.surface_sigma_K
 
 
+def test_an_error_of_the_heating_widens_the_bands_by_what_hotter_heating_does(source, futures, now) -> None:
+    """Against a march whose ratio is 5 % higher from now on."""
+    estimates, frame = now
+    state = estimates[POINT].state
+    plain = LookAhead(source, {}, None, 60.0).predict(estimates, frame)[POINT].futures["held"]
+    wide = LookAhead(source, {}, None, 60.0, heating_error=0.05).predict(estimates, frame)[POINT].futures["held"]
+    added = np.sqrt(wide.surface_sigma_K[-1] ** 2 - plain.surface_sigma_K[-1] ** 2)
+    time_s = np.arange(NOW_S, NOW_S + 60.125, 0.25)
+    history = source.histories({n: np.full(len(time_s), v) for n, v in frame.values.items()} | {"time_s": time_s})[0]
+    model = source.points[0].model
+    ends = [
+        march(model.with_parameters({"ratio.scale": s}), source, state.temperature_K, time_s, history)[0, -1]
+        for s in (0.0, 0.05)
+    ]
+    assert added == pytest.approx(ends[1] - ends[0], rel=0.05)
+
+
 def test_exact_estimate_passes_a_limit_certainly_or_not_at_all(source, futures) -> None:
     known = followed(source, futures, NOW_S, {n: Prior(p.mean, 1e-9) for n, p in PRIORS.items()}).estimates()
     frame = frame_of(futures.planned.at(np.array([NOW_S])))

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import json
+import shutil
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from sim_heating import cli
+from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.report.estimate_file import write_estimate
+from sim_heating.estimation.report.report import estimate_contents
 from sim_heating.inputs.record import load_record
-from sim_heating.planning.bands import Spread, mixture_quantile, predict_with_band
+from sim_heating.planning.bands import Member, Spread, mixture_quantile, predict_with_band
+from sim_heating.planning.considered import considered, other_flight
 from tests.support.paths import SCENARIOS
 
 P06 = SCENARIOS / "records" / "practice" / "p06"
+EMITTANCE = "stack.emissivity_factor"
 
 
 def of_normal(mean, sigma):
@@ -28,6 +36,14 @@ def test_two_members_share_the_probability_by_their_weights():
     """Far apart, so that 3/4 and 1/4 of the probability lie about each: the 0.95 quantile is the upper one's 0.8."""
     pair = [of_normal(700.0, 1.0), of_normal(900.0, 10.0)]
     assert mixture_quantile(pair, [3.0, 1.0], 0.95)[0, 0] == pytest.approx(900.0 + 0.8416212 * 10.0, abs=1e-3)
+
+
+def test_sizes_of_a_models_error_widen_a_band_more_than_their_root_mean_square_does():
+    """Half of the probability at 5 K and half at 15 K: their tails reach further than one of sqrt(125) K."""
+    pair = [of_normal(700.0, 5.0), of_normal(700.0, 15.0)]
+    high = mixture_quantile(pair, [1.0, 1.0], 0.975)[0, 0]
+    assert 1.0 - 0.5 * (ndtr((high - 700.0) / 5.0) + ndtr((high - 700.0) / 15.0)) == pytest.approx(0.025, abs=1e-9)
+    assert high > 700.0 + 1.96 * np.sqrt(125.0)
 
 
 def test_a_band_holds_the_readings_of_a_record_and_adds_in_squares():
@@ -59,3 +75,67 @@ def test_a_member_without_bands_is_refused_in_one_line(tmp_path: Path, capsys):
     assert cli.main(["predict", str(P06), "--member", "estimate.json", "1", "--out", str(tmp_path / "out")]) == 2
     errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
     assert errors == ["error: --member: is for --bands; add that option"]
+
+
+@cache
+def fitted():
+    """The estimate of p06 with emittance as declared, its records, and the fit that knows a wall of 3 % more."""
+    names, record = ["ratio.scale", "ratio.d_alpha"], load_record(P06)
+    return (
+        estimate_contents(estimate(record, names)),
+        estimate(record, names, fixed={EMITTANCE: 1.03}),
+    )
+
+
+def test_a_wall_that_was_held_moves_estimates_as_a_fit_with_that_wall_has_them():
+    held, other = fitted()
+    found = considered(held, [load_record(P06)])
+    moved = held.values(list(held.parameters)) + 0.03 * found.moves[EMITTANCE]
+    assert np.all(np.abs(moved - other.fit.values) < 0.1 * other.bounds.sigma)
+
+
+def test_most_of_the_error_of_an_emittance_cancels_where_the_fitted_point_flies_again():
+    held, _ = fitted()
+    record = load_record(P06)
+    alone, with_moves = (
+        predict_with_band(record, [Member(held, considered=known)]).history.band.sources[EMITTANCE]
+        for known in (None, considered(held, [record]))
+    )
+    assert with_moves < 0.3 * alone
+
+
+def test_errors_of_the_fitted_flight_widen_the_covariance_of_its_estimate(tmp_path: Path):
+    """A constant relative error of 5 % is one of the magnitude."""
+    held, _ = fitted()
+    copy = shutil.copytree(P06, tmp_path / "p06")
+    stated = (copy / "record.toml").read_text()
+    (copy / "record.toml").write_text(stated + "\n[heating.uncertainty]\nrelative = 0.05\ncorrelation_s = 1e5\n")
+    found = considered(held, [load_record(copy)])
+    k = list(held.parameters).index("ratio.scale")
+    assert found.size is not None
+    rms = float(np.sqrt(found.size.posterior.sum(axis=0) @ found.size.sizes**2))
+    own = held.parameters["ratio.scale"].white_sigma
+    assert np.sqrt(found.covariance[k, k]) == pytest.approx(np.hypot(own, rms), rel=0.15)
+
+
+def test_the_clock_of_a_flight_shifts_all_that_is_predicted(tmp_path: Path):
+    copy = shutil.copytree(P06, tmp_path / "p06")
+    stated = (copy / "record.toml").read_text()
+    (copy / "record.toml").write_text(stated + "\n[conditions.uncertainty]\ntime_shift_s = 3.0\n")
+    record = load_record(copy)
+    other = other_flight(record)
+    assert other is not None
+    assert [name for name, _ in other.directions] == ["time_shift_s"]
+    late = other.record(np.ones(1)).conditions
+    at = record.conditions.time_s[200:210]
+    np.testing.assert_allclose(late.at(at)["alpha_deg"], record.conditions.at(at - 3.0)["alpha_deg"], atol=1e-9)
+
+
+def test_an_estimate_whose_record_is_gone_is_refused_in_one_line(tmp_path: Path, capsys):
+    held, _ = fitted()
+    write_estimate(tmp_path / "estimate.json", held.model_copy(update={"records": ["gone"]}))
+    command = ["predict", str(P06), "--bands", "--member", str(tmp_path / "estimate.json"), "1"]
+    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 2
+    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1
+    assert "its record `gone` does not exist" in errors[0]

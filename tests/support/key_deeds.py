@@ -774,7 +774,7 @@ LINK: Document = {
         "prior": {"ratio.scale": [0.0, 0.3]}, "wander": 0.05, "wander_s": 30.0, "lateness_s": 2.0, "jump_s": 2.5,
         "start": "declared", "linearise_s": 1.0, "corrects_mesh": True,
     },
-    "ahead": {"horizon_s": 60.0, "scenario": "entry.toml", "keep": 0.95, "every_s": 1.0},
+    "ahead": {"horizon_s": 60.0, "scenario": "entry.toml", "keep": 0.95, "every_s": 1.0, "heating_error": 0.05},
     "missing": {"false_alarms_per_hour": 0.02},
 }  # fmt: skip
 
@@ -799,7 +799,7 @@ PLANNING_DEEDS = (
     study_deed("envelope", trajectory=GLIDE, envelope=ENVELOPE, next_flight=NEXT),
     study_deed("before and after", trajectory=GLIDE, envelope={"before": "orbiter", "boundary": [
         {**ENVELOPE["boundary"][0], "greatest": "cross_range_km"}]}),
-    study_deed("of a scenario", scenario="entry.toml", revision="1", envelope={"map": ENVELOPE["map"]}),
+    study_deed("of a scenario", scenario="entry.toml", revision="1", envelope={"map": ENVELOPE["map"], "bands": True}),
     Deed("campaign", campaign, "campaign.toml", CampaignFile, of_campaign),
     Deed("link", link(), "link.toml", LinkFile, of_link),
     Deed("link, replay", replay, "link.toml", LinkFile, of_link),

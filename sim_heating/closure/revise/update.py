@@ -216,7 +216,7 @@ def prepare_update(
     point = loaded_vehicle.control_point(loaded[0].declared.control_point)
     history = read_history(loaded_vehicle, point.name)
     used = tuple(_used_record(estimate, display_path(file), i, record) for i, record in enumerate(loaded))
-    loaded = [_as_fitted(record, u.segments) for record, u in zip(loaded, used, strict=True)]
+    loaded = [as_fitted(record, u.segments) for record, u in zip(loaded, used, strict=True)]
     _check_not_repeated(used)
     _check_not_used(history, used)
     turbulent = read_turbulent_history(loaded_vehicle, history, point.name)
@@ -282,7 +282,7 @@ def _records(
 ) -> list[Record]:
     """The estimate's records: as given, else where it states, relative to here or to its own file."""
     if not stated:
-        return named_apart([_stated_record(estimate, i, roots, root) for i in range(len(estimate.records))])
+        return named_apart([stated_record(estimate, i, roots, root) for i in range(len(estimate.records))])
     if len(stated) != len(estimate.records):
         raise InputError(
             f"--record: {len(stated)} given, the estimate is of {len(estimate.records)}; name each in order"
@@ -293,7 +293,7 @@ def _records(
     return load_records(stated, root=root)
 
 
-def _stated_record(estimate: Estimate, i: int, roots: Roots, root: str | os.PathLike[str] | None) -> Record:
+def stated_record(estimate: Estimate, i: int, roots: Roots, root: str | os.PathLike[str] | None) -> Record:
     """A record where the estimate states, in a folder that it may name or with the files that were fitted."""
     name = estimate.records[i]
     folder = next((f for f in (Path(), roots.file.parent) if os.path.isdir(f / name)), None)
@@ -378,7 +378,7 @@ def _used_record(estimate: Estimate, name: str, i: int, record: Record) -> UsedR
     return UsedRecord(record=record.name, inputs=digest, segments=record_span if segments is None else segments)
 
 
-def _as_fitted(record: Record, segments: list[list[float]]) -> Record:
+def as_fitted(record: Record, segments: list[list[float]]) -> Record:
     """A record whose fit segments are those of the estimate."""
     declared = record.declared.segments.model_copy(update={"fit": segments})
     return replace(record, declared=record.declared.model_copy(update={"segments": declared}))

@@ -6,9 +6,10 @@ the future (march/linearised.py):
     T(t) = m(t) + X(t) z,   z ~ N(0, 1),     X = [dT/dp C, dT/dT_0 L],   C C^T = cov p,   L L^T = cov(T, d | p)
 
 dT/dp begins with the sensitivities that the filter carries. A ratio that wanders is taken to stay where it is, from now
-on with the variance that it has in the long run: sigma is then rather too large than too small. The probability that a
-limit is passed is that of the normal z for which m + X z passes it at any step; the effects that a model lacks are not
-in it.
+on with the variance that it has in the long run: sigma is then rather too large than too small. So is the smooth error
+of the heating that a link may state (docs/theory/model_error.md, equation 1), which lasts longer than most horizons. The
+probability that a limit is passed is that of the normal z for which m + X z passes it at any step; the effects that a
+model lacks are not in it.
 
     ahead = LookAhead(estimator.source, limits, Futures.of_scenario(scenario, estimator.source.columns))
     ahead.predict(estimator.estimates(), frame)["V09T9527"].knock_off_by_s
@@ -108,6 +109,7 @@ class LookAhead:
     horizon_s : how far ahead [s]
     keep      : probability with which stopping a manoeuvre keeps the limits
     ratio_sigma : standard deviation in the long run of a ratio that wanders [-]
+    heating_error : relative error of the heating, one standard deviation [-]
     raises    : InputError for a horizon or probability out of range
     """
 
@@ -119,13 +121,14 @@ class LookAhead:
         horizon_s: float = 60.0,
         keep: float = 0.95,
         ratio_sigma: float = 0.0,
+        heating_error: float = 0.0,
     ) -> None:
         if not 1.0 <= horizon_s <= 3600.0:
             raise InputError(f"look-ahead: horizon_s {horizon_s:g}; give 1 to 3600 s")
         if not 0.5 < keep < 1.0:
             raise InputError(f"look-ahead: keep {keep:g}; give a probability above 0.5 and below 1")
         self.source, self.futures = source, futures
-        self.horizon_s, self.keep, self.ratio_sigma = horizon_s, keep, ratio_sigma
+        self.horizon_s, self.keep, self.errors = horizon_s, keep, _RatioErrors(ratio_sigma, heating_error)
         names = ("surface_K", "bondline_K")
         self.limits = [
             np.array([limits.get(p.name, {}).get(n, math.inf) for n in names], dtype=float) for p in source.points
@@ -169,9 +172,7 @@ class LookAhead:
         points = self.source.points
         if not self._together or not all(lanes.fit(now[k * LANES :]) for k, lanes in enumerate(self._together)):
             self._together = [
-                _Lanes(
-                    points[k : k + LANES], now[k : k + LANES], list(range(LANES))[: len(points) - k], self.ratio_sigma
-                )
+                _Lanes(points[k : k + LANES], now[k : k + LANES], list(range(LANES))[: len(points) - k], self.errors)
                 for k in range(0, len(points), LANES)
             ]
         return self._together
@@ -281,9 +282,7 @@ class LookAhead:
         courses = [self.futures.stopped(planned, frame, float(s)) for s in stops_s]
         courses += [courses[-1]] * (LANES - len(courses))
         if i not in self._alone or not self._alone[i].fit([now]):
-            self._alone[i] = _Lanes(
-                [self.source.points[i]] * LANES, [now] * LANES, list(range(LANES)), self.ratio_sigma
-            )
+            self._alone[i] = _Lanes([self.source.points[i]] * LANES, [now] * LANES, list(range(LANES)), self.errors)
         lanes, time_s = self._alone[i], self._steps(frame.time_s, courses)
         histories = np.stack([self.source.histories(c.at(time_s))[i] for c in courses])
         lanes.begin([now] * LANES)
@@ -316,8 +315,9 @@ class AheadOfLink:
         except (InputError, RunError) as error:
             self.problem = f"{str(error).splitlines()[0]}; the look-ahead has the present conditions alone"
         self._ahead = LookAhead(
-            estimator.source, limits, futures, settings.horizon_s, settings.keep, link.declared.estimate.wander
-        )
+            estimator.source, limits, futures, settings.horizon_s, settings.keep, link.declared.estimate.wander,
+            settings.heating_error,
+        )  # fmt: skip
         self._ahead.warm_up([e for f in estimator.stepper.filters for e in f.estimates()])
 
     def due(self, time_s: float | None) -> bool:
@@ -346,26 +346,47 @@ class AheadOfLink:
         return self.latest.get(point, PointAhead({}))
 
 
+@dataclass(frozen=True)
+class _RatioErrors:
+    """Errors of the heating ratio from now on.
+
+    wander  : standard deviation in the long run of one that wanders [-];  heating : relative, of the heating itself [-]
+    """
+
+    wander: float
+    heating: float
+
+    def act_on(self, estimate: PointEstimate) -> bool:
+        """Whether the march of an estimate needs a column for its ratio."""
+        return self.heating > 0.0 or _wanders(estimate)
+
+    def sigma(self, estimate: PointEstimate) -> float:
+        """Standard deviation of the ratio beside what the estimate leaves open [-]."""
+        unknown = max(self.wander**2 - estimate.disturbance_sigma**2, 0.0) if _wanders(estimate) else 0.0
+        size = self.heating * abs(estimate.ratio) if self.heating > 0.0 and math.isfinite(estimate.ratio) else 0.0
+        return math.hypot(math.sqrt(unknown), size)
+
+
 class _Lanes:
     """Up to LANES points, or futures of one point, that are marched together with their sensitivities."""
 
     def __init__(
-        self, points: Sequence[LivePoint], now: Sequence[PointEstimate], flights: Sequence[int], ratio_sigma: float
+        self, points: Sequence[LivePoint], now: Sequence[PointEstimate], flights: Sequence[int], errors: _RatioErrors
     ) -> None:
-        self._ratio_sigma = ratio_sigma
+        self._errors = errors
         self._own = [[n for n in e.names if not n.startswith(SENSOR_PREFIX)] for e in now]
-        self._wanders = [_wanders(e) for e in now]
+        self._has_ratio = [errors.act_on(e) for e in now]
         tracks = [
             Track(
                 p.model,
                 p.mesh,
-                (*names, *([RATIO_ITSELF] * wanders)),
+                (*names, *([RATIO_ITSELF] * has_ratio)),
                 np.zeros(0),
                 (0, p.mesh.bondline),
                 flight=flight,
                 initial_columns=np.zeros((p.mesh.nodes, 1)),
             )
-            for p, names, wanders, flight in zip(points, self._own, self._wanders, flights, strict=True)
+            for p, names, has_ratio, flight in zip(points, self._own, self._has_ratio, flights, strict=True)
         ]
         self._march = LinearMarch(tracks, np.array([0.0, 1.0]), np.zeros((len(tracks), 2, N_CONDITIONS)))
         self._tracks: list[Track] = tracks
@@ -379,18 +400,18 @@ class _Lanes:
 
     def fit(self, now: Sequence[PointEstimate]) -> bool:
         """Whether the lanes have a column for all that is open in estimates: the ratio may begin to wander."""
-        return all(has or not _wanders(e) for has, e in zip(self._wanders, now, strict=False))
+        return all(has or not self._errors.act_on(e) for has, e in zip(self._has_ratio, now, strict=False))
 
     def begin(self, now: Sequence[PointEstimate]) -> None:
         """Take over estimates: parameters, temperatures, and what of them is open."""
         tracks: list[Track] = []
         self._roots, self._now = [], list(now)
         begun_of: dict[int, tuple[Track, tuple[FloatArray, FloatArray]]] = {}
-        for track, names, wanders, estimate in zip(self._march.tracks, self._own, self._wanders, now, strict=True):
+        for track, names, has_ratio, estimate in zip(self._march.tracks, self._own, self._has_ratio, now, strict=True):
             if id(estimate) not in begun_of:
                 C, L = _root(estimate.covariance), _root(estimate.state_covariance, LEAST_SIGMA_K, DIRECTIONS)
                 m, S = len(names), estimate.sensitivity[:-1]
-                named = np.concatenate([S[:, :m], np.zeros((len(S), int(wanders)))], axis=1)
+                named = np.concatenate([S[:, :m], np.zeros((len(S), int(has_ratio)))], axis=1)
                 first = np.concatenate([S[:, m:], L[:-1]], axis=1)
                 filled = first if first.shape[1] else np.zeros((len(S), 1))
                 begun = replace(track, initial_K=estimate.temperature_K, named_columns=named, initial_columns=filled)
@@ -418,8 +439,8 @@ class _Lanes:
     def _loading(self, i: int, X: FloatArray) -> FloatArray:
         """(2, time, direction) temperatures over unit normals [K]."""
         (C, L), estimate, m = self._roots[i], self._now[i], len(self._own[i])
-        ratio = X[..., m] if self._wanders[i] else None
-        others = X[..., m + int(self._wanders[i]) :]
+        ratio = X[..., m] if self._has_ratio[i] else None
+        others = X[..., m + int(self._has_ratio[i]) :]
         sensors = len(estimate.names) - m
         of_p = np.concatenate([X[..., :m], others[..., :sensors]], axis=-1)
         of_T = others[..., sensors : sensors + L.shape[1]]
@@ -427,8 +448,7 @@ class _Lanes:
             return np.concatenate([of_p @ C, of_T], axis=-1)
         of_p = of_p + ratio[..., np.newaxis] * estimate.sensitivity[-1]
         of_T = of_T + ratio[..., np.newaxis] * L[-1]
-        unknown = math.sqrt(max(self._ratio_sigma**2 - estimate.disturbance_sigma**2, 0.0))
-        return np.concatenate([of_p @ C, of_T, unknown * ratio[..., np.newaxis]], axis=-1)
+        return np.concatenate([of_p @ C, of_T, self._errors.sigma(estimate) * ratio[..., np.newaxis]], axis=-1)
 
 
 def _wanders(estimate: PointEstimate) -> bool:

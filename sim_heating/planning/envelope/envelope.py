@@ -72,7 +72,9 @@ def margin_evaluator(study: Study, forecast: ForecastEvidence | None = None) -> 
         for point, by_manoeuvre in (forecast or {}).items()
         if (root := covariance_root(study.vehicle, point)) is not None
     }
-    return MarginEvaluator(base_entry(study), study.points, study.base, study.declared.soak_s, informed)
+    envelope = study.declared.envelope
+    bands = envelope is not None and envelope.bands
+    return MarginEvaluator(base_entry(study), study.points, study.base, study.declared.soak_s, informed, bands=bands)
 
 
 @dataclass(frozen=True)

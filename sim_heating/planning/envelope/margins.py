@@ -1,6 +1,7 @@
 """Margins of one case of an envelope study: its distance from each limit.
 
-    surface, bondline  limit less peak temperature [K], with the sigma due to that of the ratio table
+    surface, bondline  limit less peak temperature [K], with the sigma due to that of the ratio table, or to all that is
+                       uncertain (planning/bands.py)
     elevon             travel less the deflection that trims, to either end [deg]; negative: the flight is not trimmed
     table              distance of the flight from either end of each axis of a point's ratio table, where the point is
                        heated; negative: outside, where the ratio is unknown and nothing counts as allowed
@@ -11,9 +12,10 @@ A case that cannot be flown has no margins and states why in one line.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import ndtri
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
@@ -21,8 +23,9 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import LANES
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
 from sim_heating.inputs.scenario import Scenario
-from sim_heating.march.history import table_excursions
+from sim_heating.march.history import BAND_PROBABILITY, table_excursions
 from sim_heating.march.mesh_choice import choose_meshes
+from sim_heating.planning.bands import Spread, mixture_quantile, spreads
 from sim_heating.planning.envelope.case import BaseEntry, Case, FlownCase
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.ratio_table_modes import PeakSensitivity, covariance_root, peak_sensitivities
@@ -71,6 +74,11 @@ class Margin:
     at_s: float = 0.0
     at_m_s: float = 0.0
 
+    @property
+    def at_band(self) -> float:
+        """The margin at the upper end of the 95 % band, where sigma is by all that is uncertain."""
+        return self.margin - float(ndtri(0.5 + 0.5 * BAND_PROBABILITY)) * self.sigma
+
     def reduced(self, sigmas: float, manoeuvre: str | None = None) -> float:
         """The margin less a number of sigma, with the sigma after a manoeuvre where one is named."""
         return self.margin - sigmas * (self.sigma if manoeuvre is None else self.sigma_after.get(manoeuvre, self.sigma))
@@ -111,6 +119,7 @@ class MarginEvaluator:
     points   : control points with their limits
     scenario : of the base entry, for its effects
     soak_s   : length of the soak after the flight [s]
+    bands    : whether the sigma of a temperature is by all that is uncertain
     informed : control point -> manoeuvre -> root of the table's errors after it (ratio_table_modes.informed_root)
     """
 
@@ -121,8 +130,10 @@ class MarginEvaluator:
         scenario: Scenario,
         soak_s: float,
         informed: Mapping[str, Mapping[str, FloatArray]] | None = None,
+        *,
+        bands: bool = False,
     ) -> None:
-        self.base, self.points, self.soak_s = base, tuple(points), soak_s
+        self.base, self.points, self.soak_s, self.bands = base, tuple(points), soak_s, bands
         self.informed = informed or {}
         vehicle = base.vehicle
         self.models = [point_of_vehicle(vehicle, p.point, effects=scenario.effects(p.point.name)) for p in points]
@@ -147,16 +158,18 @@ class MarginEvaluator:
         margins = self._trim_margins(flown)
         outside: list[str] = []
         marched = peak_sensitivities(self.models, self.meshes, self.roots, flights)
-        for limited, model, conditions, peak in zip(self.points, self.models, conditions_of, marched, strict=True):
+        for limited, model, conditions, peak, soaked in zip(
+            self.points, self.models, conditions_of, marched, flights, strict=True
+        ):
             name = limited.point.name
-            if np.isfinite(limited.surface_K):
-                margins[f"{name} {SURFACE}"] = self._temperature_margin(
-                    name, SURFACE, peak.surface, limited.surface_K, flown
-                )
-            if limited.bondline_K is not None:
-                margins[f"{name} {BONDLINE}"] = self._temperature_margin(
-                    name, BONDLINE, peak.bondline, limited.bondline_K, flown
-                )
+            others = spreads(model, soaked, with_table=False) if self.bands else []
+            for channel, (kind, found, limit_K) in enumerate(
+                ((SURFACE, peak.surface, limited.surface_K), (BONDLINE, peak.bondline, limited.bondline_K))
+            ):
+                if limit_K is None or not np.isfinite(limit_K):
+                    continue
+                margin = self._temperature_margin(name, kind, found, limit_K, flown)
+                margins[f"{name} {kind}"] = _with_all(margin, others, channel) if others else margin
             margins |= _table_margins(limited, conditions)
             outside += [
                 f"{name}: {o.variable} up to {o.farthest:.3g} outside its ratio table, {o.duration_s:.0f} s in all, "
@@ -196,6 +209,26 @@ class MarginEvaluator:
             "elevon travel, up": Margin(ELEVON, "", float(up[0]), up[1], float(up[0] - up[1]), "deg"),
             "elevon travel, down": Margin(ELEVON, "", float(down[0]), down[1], float(down[1] - down[0]), "deg"),
         }
+
+
+def _with_all(margin: Margin, others: Sequence[Spread], channel: int) -> Margin:
+    """A margin whose sigma is by the ratio table, with one by all that is uncertain: of its 95 % band, over 1.96.
+
+    others : temperatures without the error of the table;  channel : 0 the surface, 1 the bondline
+    """
+    peak = int(np.argmax(others[0].mean_K[channel]))
+    high = 0.5 + 0.5 * BAND_PROBABILITY
+
+    def sigma(of_table_K: float) -> float:
+        every = [
+            replace(s, mean_K=np.zeros(1), sigma_K=np.hypot(s.sigma_K[channel, peak : peak + 1], of_table_K))
+            for s in others
+        ]
+        return float(mixture_quantile(every, [s.weight for s in every], high)[0] / ndtri(high))
+
+    return replace(
+        margin, sigma=sigma(margin.sigma), sigma_after={name: sigma(s) for name, s in margin.sigma_after.items()}
+    )
 
 
 def _table_margins(limited: LimitedPoint, conditions: Conditions) -> dict[str, Margin]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 
@@ -49,17 +50,34 @@ HEAD_WIDTH = 70
 """Characters of a line above one of several panels."""
 
 
+@dataclass(frozen=True)
+class DrawnBand:
+    """Half the width of a band that is drawn, in sigma, and whether that is by the ratio tables alone."""
+
+    sigmas: float
+    by_tables: bool = True
+
+    @property
+    def what(self) -> str:
+        """What the sigma is of."""
+        return "the tables" if self.by_tables else "all temperatures"
+
+    def describe(self) -> str:
+        """The band in words."""
+        return f"{self.sigmas:g} sigma {'of the ratio tables' if self.by_tables else 'by all that is uncertain'}"
+
+
 @replaced_if_undrawable
-def draw_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> None:
+def draw_map(path: Path, title: str, flown: FlownMap, band: DrawnBand) -> None:
     """Draw a map: over one axis the margins with their bands, over two the least margin and the name of its limit."""
     axes = flown.declared.axes
     if len(axes) == 1:
-        _draw_line_map(path, title, flown, sigmas)
+        _draw_line_map(path, title, flown, band)
     else:
         _draw_plane_map(path, title, flown)
 
 
-def _draw_line_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> None:
+def _draw_line_map(path: Path, title: str, flown: FlownMap, band: DrawnBand) -> None:
     figure, axes = new_figure(9.0, 6.0, 1)
     (name, values), a = next(iter(flown.declared.axes.items())), axes[0]
     good = [(x, f) for x, f in zip(values, flown.flights, strict=True) if f.error is None]
@@ -68,13 +86,13 @@ def _draw_line_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> No
     x = np.array([v for v, _ in good])
     for colour, limit in zip(COLOURS, least, strict=False):
         y = np.array([f.margins[limit].margin for _, f in good])
-        s = sigmas * np.array([f.margins[limit].sigma for _, f in good])
+        s = band.sigmas * np.array([f.margins[limit].sigma for _, f in good])
         a.plot(x, y, "o-", color=colour, markersize=3.5, label=limit)
         a.fill_between(x, y - s, y + s, color=colour, alpha=0.10, linewidth=0)
     _mark_excluded(a, [(v, f) for v, f in zip(values, flown.flights, strict=True)])
     a.axhline(0.0, color="k", linewidth=1.0)
     a.set_xlabel(LABELS[name])
-    a.set_ylabel(f"margin to the limit, K (band: {sigmas:g} sigma of the ratio tables)")
+    a.set_ylabel(f"margin to the limit, K (band: {band.describe()})")
     figure.legend(*a.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     save_figure(figure, path, title, axes)
 
@@ -111,7 +129,7 @@ def _draw_plane_map(path: Path, title: str, flown: FlownMap) -> None:
 
 
 @replaced_if_undrawable
-def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBoundary], sigmas: float) -> None:
+def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBoundary], band: DrawnBand) -> None:
     """Draw a boundary, or that of several revisions side by side; the colour of an edge is that of its limit.
 
     boundaries : name of the revision -> its boundary
@@ -139,8 +157,8 @@ def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBounda
     for n in names:
         handles += a.plot([], [], "x" if n.startswith(NOTHING) else "o", color=colours[n], label=n)
     for label, strength in (
-        (f"allowed with the tables {sigmas:g} sigma hotter", 0.35),
-        (f"allowed with the tables {sigmas:g} sigma cooler", 0.12),
+        (f"allowed with {band.what} {band.sigmas:g} sigma hotter", 0.35),
+        (f"allowed with {band.what} {band.sigmas:g} sigma cooler", 0.12),
     ):
         handles.append(a.fill_between([], [], [], color="tab:green", alpha=strength, label=label))
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)

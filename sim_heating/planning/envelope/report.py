@@ -90,7 +90,7 @@ def _envelope_of(study: Study) -> Envelope:
 def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> PartResult:
     """Compute maps and boundaries of a study; if it names a vehicle `before`, also the boundaries of that one."""
     envelope, output = _envelope_of(study), _PartOutput(study, folder)
-    sigmas, revision = envelope.sigmas, files.revision_label(study)
+    sigmas, revision, band = envelope.sigmas, files.revision_label(study), _drawn_band(envelope)
     flights = StudyFlights(study, engine, progress, _forecast_evidence(_forecasts(study)))
     data: dict[str, Any] = {"sigmas": sigmas, "revision": revision, "maps": {}, "boundaries": {}}
     maps = [fly_map(declared, flights) for declared in envelope.map]
@@ -99,13 +99,13 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
     for flown in maps:
         name, title = _map_file(flown.declared), flown.declared.title or flown.declared.name
         files.write_map(output.path(f"{name}.csv"), study, flown)
-        output.draw(name, title, partial(plots.draw_map, flown=flown, sigmas=sigmas))
-        output.tables.append(files.map_table(flown))
-        data["maps"][flown.declared.name] = files.map_data(flown)
+        output.draw(name, title, partial(plots.draw_map, flown=flown, band=band))
+        output.tables.append(files.map_table(flown, study))
+        data["maps"][flown.declared.name] = files.map_data(flown, study)
     for boundary in boundaries:
         name, title = _boundary_file(boundary.declared), boundary.declared.title or boundary.declared.name
         files.write_boundary(output.path(f"{name}.csv"), study, boundary, sigmas)
-        output.draw(name, title, partial(plots.draw_boundaries, boundaries={"": boundary}, sigmas=sigmas))
+        output.draw(name, title, partial(plots.draw_boundaries, boundaries={"": boundary}, band=band))
         output.tables.append(files.boundary_table(boundary))
         data["boundaries"][boundary.declared.name] = files.boundary_data(boundary)
     output.notes += files.flight_notes(flights.flown)
@@ -116,6 +116,10 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
     if envelope.before is not None and boundaries:
         data["before"] = _compare_with_before(RevisionBoundaries(study, boundaries), envelope, engine, progress, output)
     return output.result(data | {"notes": output.notes})
+
+
+def _drawn_band(envelope: Envelope) -> plots.DrawnBand:
+    return plots.DrawnBand(envelope.sigmas, by_tables=not envelope.bands)
 
 
 def _map_file(declared: EnvelopeMap) -> str:
@@ -169,7 +173,7 @@ def _compare_with_before(
         files.write_boundary(output.path(f"before_{name}.csv"), other, earlier, envelope.sigmas)
         both = {f"before: {files.picture_stamp(other)}": earlier, f"after: {files.picture_stamp(study)}": later}
         title = f"{later.declared.title or name}, before and after"
-        draw = partial(plots.draw_boundaries, boundaries=both, sigmas=envelope.sigmas)
+        draw = partial(plots.draw_boundaries, boundaries=both, band=_drawn_band(envelope))
         output.draw(f"before_after_{name}", title, draw)
     table, data = compare_areas(before, current)
     output.tables.append(table)

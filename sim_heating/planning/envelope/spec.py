@@ -1,7 +1,8 @@
 """Envelope and next flight of a study: its [envelope] and [next_flight] tables.
 
 [envelope]
-sigmas = 1.0                        # the band about each boundary, in sigma of the ratio tables
+sigmas = 1.0                        # the band about each boundary, in sigma of the temperatures
+bands = true                        # sigma by all that is uncertain, in place of the ratio tables alone
 before = "orbiter"                  # for comparison, this vehicle too: a name, or a directory relative to the study
 [[envelope.map]]                    # all combinations of values along one axis or two
 name = "alpha"
@@ -143,7 +144,9 @@ class EnvelopeBoundary(Declared):
 class Envelope(Declared):
     """The [envelope] table.
 
-    sigmas              : half the width of the band about a boundary, in sigma of the ratio tables
+    sigmas              : half the width of the band about a boundary, in sigma of the temperatures
+    bands               : whether that sigma is by all that is uncertain, as `run --bands` has it; else by the ratio
+                          tables alone
     station_width       : half the width of a station of the angle-of-attack schedule, on its own axis
     bodyflap_above_mach : Mach number down to which a changed body flap is held
     elevon_arm_m        : distance of the elevons from the plane of symmetry [m]
@@ -152,6 +155,7 @@ class Envelope(Declared):
     """
 
     sigmas: float = Field(default=1.0, gt=0.0, le=5.0)
+    bands: bool = False
     before: str | None = None
     station_width: float = Field(default=1.0, gt=0.0)
     bodyflap_above_mach: float = Field(default=8.0, gt=0.0)

@@ -78,25 +78,36 @@ def write_map(path: Path, study: Study, flown: FlownMap) -> None:
                     f"{kind}_sigma_K": np.nan if m is None else m.sigma,
                     f"{kind}_margin_K": np.nan if m is None else m.margin,
                 }
+                if has_bands(study):
+                    row[f"{kind}_margin_at_band_K"] = np.nan if m is None else m.at_band
             row["remarks"] = flight.error or "; ".join(o for o in flight.outside if o.startswith(name))
             rows.append(row)
     columns = {key: np.array([r[key] for r in rows]) for key in rows[0]}
     write_csv(path, columns, ".6g", csv_header(study, flown.declared.title or flown.declared.name))
 
 
-def map_data(flown: FlownMap) -> dict[str, Any]:
+def has_bands(study: Study) -> bool:
+    """Whether the sigma of a study's temperatures is by all that is uncertain, so that margins are stated at the band."""
+    envelope = study.declared.envelope
+    return envelope is not None and envelope.bands
+
+
+def map_data(flown: FlownMap, study: Study) -> dict[str, Any]:
     """A map for study.json."""
     return {
         "axes": flown.declared.axes,
         "flights": [
-            {"at": position, **flight_data(flight)}
+            {"at": position, **flight_data(flight, bands=has_bands(study))}
             for position, flight in zip(flown.positions, flown.flights, strict=True)
         ],
     }
 
 
-def flight_data(flight: EvaluatedCase) -> dict[str, Any]:
-    """A flight for study.json: temperatures, violated limits, where it leaves the ratio tables."""
+def flight_data(flight: EvaluatedCase, *, bands: bool) -> dict[str, Any]:
+    """A flight for study.json: temperatures, violated limits, where it leaves the ratio tables.
+
+    bands : whether margins are stated at the 95 % band as well
+    """
     if flight.error is not None:
         return {"error": flight.error}
     hot = {n: m for n, m in flight.margins.items() if m.unit == "K"}
@@ -106,24 +117,28 @@ def flight_data(flight: EvaluatedCase) -> dict[str, Any]:
         "peaks_K": {n: m.value for n, m in hot.items()},
         "sigma_K": {n: m.sigma for n, m in hot.items()},
         "margins_K": {n: m.margin for n, m in hot.items()},
+        **({"margins_at_band_K": {n: m.at_band for n, m in hot.items()}} if bands else {}),
         "violated": [n for n, m in flight.margins.items() if m.margin < 0.0],
         "outside_table": list(flight.outside),
     }
 
 
-def map_table(flown: FlownMap) -> Table:
-    """The margin that matters most at each place of a map (`EvaluatedCase.least`)."""
-    rows = []
+def map_table(flown: FlownMap, study: Study) -> Table:
+    """The margin that matters most at each place of a map (`EvaluatedCase.least`), at the 95 % band too where it has
+    one."""
+    rows, bands = list[tuple[str, ...]](), has_bands(study)
     for position, flight in zip(flown.positions, flown.flights, strict=True):
         at = tuple(f"{v:g}" for v in position.values())
         least = flight.least
         if flight.error is not None or least is None:
-            rows.append((*at, "", flight.error or "no limit", ""))
+            rows.append((*at, "", flight.error or "no limit", "", *([""] if bands else [])))
             continue
         name, m = least
-        rows.append((*at, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f} {m.unit}"))
+        at_band = [f"{m.at_band:.1f} {m.unit}"] if bands else []
+        rows.append((*at, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f} {m.unit}", *at_band))
     title = flown.declared.title or flown.declared.name
     heads: list[Column | str] = [*flown.declared.axes, "least margin", Column("limit", is_text=True), "sigma"]
+    heads += ["margin at the 95 % band"] if bands else []
     return Table(f"Map: {title}", heads, rows)
 
 
