@@ -6,8 +6,9 @@
 A vehicle has a point of `challenge` whose wall and table are other than declared: emittance, coating and insulation by
 the standard deviations that every wall has, magnitude and derivatives within the sigma of the table. Its flights have
 errors of the kinds of `challenge/world.py`, of one size for all of them and drawn anew for each: splines or arcs of the
-heating, clock, duration, velocity, angle of attack, density. Two flights are fitted, magnitude, derivatives and
-emittance; others are predicted as `predict --bands --member` does it. Sizes are declared rightly, a third as large, or
+heating, clock, duration, velocity, angle of attack, density. Three flights are fitted, wall, magnitude and derivatives
+with their priors and with the error of the model. One more is predicted, as `predict --bands --member` does it, and
+flown FLOWN times with other errors, none of which any fit has seen. Sizes are declared rightly, a third as large, or
 not at all. The true model knows wall, table and the sizes of the errors, and none of the errors.
 
 On STS-96: each tile as `predict --bands` has it, and each from the other three (tile_left_out.py). Finished vehicles
@@ -39,6 +40,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import MODEL
 from sim_heating.closure.prior.model_error import SmoothFlightError
+from sim_heating.closure.prior.stated_error import OtherFlight, stated_error
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.credibility.facts.contributors import dispersed_temperatures
 from sim_heating.estimation.fit import estimate
@@ -51,16 +53,17 @@ from sim_heating.inputs.record import FlightUncertainty, Record, load_record
 from sim_heating.march.history import sensed_temperatures, values_at
 from sim_heating.march.point import PointModel
 from sim_heating.planning.bands import Member, predict_with_band, read_member
-from sim_heating.planning.considered import OtherFlight
-from sim_heating.simulation.predict import Prediction
+from sim_heating.simulation.predict import Prediction, reading_noise_K
 
 Generator = np.random.Generator
 
 SEED = 20261128
-VEHICLES = {"rightly": 50, "small": 12, "not": 12}
+VEHICLES = {"rightly": 20, "small": 4, "not": 4}
 """How many vehicles declare the sizes of their errors in each way."""
-FITTED, PREDICTED = 2, 6
-"""Flights of a vehicle that are fitted, and that are predicted."""
+FITTED, FLOWN = 3, 16
+"""Flights of a vehicle that are fitted, and how often the one that is predicted is flown."""
+EVERY = 4
+"""Of how many samples of a recorder one is kept: slow errors have as many in either case."""
 EMITTANCE = "stack.emissivity_factor"
 WALL = {
     EMITTANCE: None,
@@ -86,14 +89,13 @@ ATTEMPTS = 40
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight of a vehicle.
+    """A flight along one recorded trajectory, with errors of its own.
 
-    folder    : of its record;  world : its errors
-    surface_K : (sample,) true temperature of the surface at the times of the record
+    measured_K : (sample, sensor) readings;  surface_K : (sample,) true temperature of the surface
     """
 
-    folder: Path
     world: World
+    measured_K: FloatArray
     surface_K: FloatArray
 
 
@@ -121,31 +123,43 @@ class Vehicle:
         cp = float(rng.choice([1004.5, 1010.0])) if rng.random() < 0.4 else None
         return cls(point, wall, int(rng.choice([2, 1])), cp, declared)
 
-    def fly(self, rng: Generator, folder: Path) -> Flown:
-        """One flight more; a record in a folder."""
+    def fly(self, rng: Generator, folder: Path, times_flown: int) -> list[Flown]:
+        """One trajectory, flown several times; the first time is the record in a folder.
+
+        What is recorded is the same each time, and what was flown differs from it by the errors.
+        """
         for _ in range(ATTEMPTS):
             flight = draw_flight(rng, ["popu"])
             case = make_case(flight, self.point, partial(self._ratio, rng), self.every, self.cp_J_kgK, False)
-            world = self._world(rng, case)
-            recorded = world.recorded(case)
-            history = recorded.at(FINE_S, true=True)
             recorder = recording.draw_recorder(rng, float(case.recorded["time_s"][-1]), flight.manoeuvres)
-            deviation = world.deviation(history) + self._deviation()
-            indicated = history.indicated(recording.sample_times(rng, recorder), deviation)
-            sensors = self.point.sensors
-            if self.first is None:
-                recording.draw_words(rng, sensors, np.max(indicated, axis=0))
-            if np.all(np.isfinite(indicated)) and np.all(indicated <= [s["range_K"][1] for s in sensors]):
+            recorder = replace(recorder, time_s=recorder.time_s[::EVERY])
+            flown = [self._flown(rng, case, recorder) for _ in range(times_flown)]
+            if all(f is not None for f in flown):
                 break
         else:
             raise RuntimeError(f"{folder}: no flight within the ranges of its sensors")
-        self.first = self.first or world
-        t = recorder.time_s
+        found = [f for f in flown if f is not None]
+        every = np.ones(len(recorder.time_s), dtype=bool)
+        first = found[0].measured_K
+        write(
+            Made(folder.name, case, (), recorder, None, first, first, every, ~every, {}, found[0].world), folder.parent
+        )
+        return found
+
+    def _flown(self, rng: Generator, case: Case, recorder: recording.Recorder) -> Flown | None:
+        """A flight along a recorded trajectory; None where its readings leave the ranges of the sensors."""
+        world, sensors, t = self._world(rng, case), self.point.sensors, recorder.time_s
+        true = replace(case, flown=world.recorded(case).recorded)
+        history = true.at(FINE_S, true=True)
+        deviation = world.deviation(history) + self._deviation()
+        indicated = history.indicated(t, deviation)
+        if self.first is None:
+            recording.draw_words(rng, sensors, 1.2 * np.max(indicated, axis=0))
+            self.first = world
+        if not np.all(np.isfinite(indicated)) or np.any(indicated > [s["range_K"][1] for s in sensors]):
+            return None
         measured = finished(t, recording.measure(rng, recorder, sensors, indicated), deviation)
-        every = np.ones(len(t), dtype=bool)
-        made = Made(folder.name, recorded, (), recorder, None, indicated, measured, every, ~every, {}, world)
-        write(made, folder.parent)
-        return Flown(folder, world, np.interp(t, history.t, history.temperatures(deviation)[:, 0]))
+        return Flown(world, measured, np.interp(t, history.t, history.temperatures(deviation)[:, 0]))
 
     def _ratio(self, rng: Generator, reference: FloatArray) -> Ratio:
         self.ratio = self.ratio or draw_ratio(rng, self.point.name, reference)
@@ -190,13 +204,13 @@ class Vehicle:
 
 
 def fitted_member(folders: Sequence[Path], out: Path) -> Member:
-    """The estimate of magnitude, derivatives and emittance from some flights, as it is read for a prediction."""
+    """The estimate of wall, magnitude and derivatives from some flights, as it is read for a prediction."""
     records = [load_record(folder) for folder in folders]
     excluded = undeclared_derivatives(records[0], default_names(records))
     names = [n for n in default_names(records) if n not in excluded]
     prior = table_prior(records[0], names, joint_reference(records))
     assert prior is not None  # every vehicle has a table
-    fit = estimate(records, [*names, EMITTANCE], priors=prior.parameters())
+    fit = estimate(records, [*names, *WALL], priors=prior.parameters(), error_of=stated_error)
     out.mkdir(exist_ok=True)
     write_estimate(out / NAME, estimate_contents(fit))
     return read_member(out)
@@ -208,12 +222,12 @@ def half_width_K(prediction: Prediction, half_K: FloatArray) -> float:
     half_K : (sensor, sample) of the temperatures
     """
     used = [i for i, s in enumerate(prediction.record.sensors) if s.used]
-    noise = np.array([prediction.record.sensors[i].noise_sigma_K or 0.0 for i in used])
+    noise = reading_noise_K([prediction.record.sensors[i] for i in used])
     return float(np.nanmean(np.hypot(half_K[used], Z95 * noise[:, np.newaxis])))
 
 
 def true_half_K(vehicle: Vehicle, flown: Flown, record: Record, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(channel, sample) half width of the band by the true model, and its mean [K], of surface, bondline and sensors."""
+    """(channel, sample) half width of the band by the true model, and its mean, of surface, bondline, sensors [K]."""
     assert vehicle.ratio is not None  # it has flown
     model, conditions = true_model(vehicle, record), conditions_of_record(record)
     t = record.time_s
@@ -258,38 +272,51 @@ def _by_flight(world: World, record: Record, flight: Conditions) -> list[Conditi
     return [conditions_of_record(other.record(f)).at(flight.time_s) for f in np.eye(len(other.directions))]
 
 
-def coverage_of(vehicle: Vehicle, flown: Flown, member: Member) -> dict[str, float]:
-    """Shares within the band and widths of one flight."""
-    record = load_record(flown.folder)
+def coverage_of(vehicle: Vehicle, folder: Path, flights: Sequence[Flown], member: Member) -> list[dict[str, float]]:
+    """Shares within the band, and widths, of one trajectory flown several times."""
+    record = load_record(folder)
     prediction = predict_with_band(record, [member])
-    band, within = prediction.history.band, prediction.within_band
+    band = prediction.history.band
     assert band is not None
-    assert within is not None
     half = 0.5 * (band.high_K - band.low_K)
-    true_half, true_K = true_half_K(vehicle, flown, record, record.time_s)
+    true_half, true_K = true_half_K(vehicle, flights[0], record, record.time_s)
     by_truth = replace(band, low_K=true_K - true_half, high_K=true_K + true_half)
-    truth = replace(prediction, history=replace(prediction.history, band=by_truth))
-    surface = (flown.surface_K >= band.low_K[0]) & (flown.surface_K <= band.high_K[0])
-    return {
-        "within": within,
-        "width_K": half_width_K(prediction, half[2:]),
-        "surface_within": float(np.mean(surface[np.isfinite(band.low_K[0])])),
-        "surface_width_K": float(np.nanmean(half[0])),
-        "true_within": float(truth.within_band or 0.0),
-        "true_width_K": half_width_K(prediction, true_half[2:]),
-        "true_surface_width_K": float(np.nanmean(true_half[0])),
-    }
+    known = np.isfinite(band.low_K[0])
+    found = []
+    for flown in flights:
+        residual = flown.measured_K.T - prediction.indicated_K
+        own = replace(prediction, residual_K=residual)
+        truth = replace(
+            own,
+            history=replace(own.history, band=by_truth, sensors_K=true_K[2:]),
+            residual_K=residual + own.history.sensors_K - true_K[2:],
+        )
+        surface = (flown.surface_K >= band.low_K[0]) & (flown.surface_K <= band.high_K[0])
+        of_truth = np.abs(flown.surface_K - true_K[0]) <= true_half[0]
+        found.append({
+            "within": own.within_band or 0.0,
+            "width_K": half_width_K(prediction, half[2:]),
+            "surface_within": float(np.mean(surface[known])),
+            "surface_width_K": float(np.nanmean(half[0])),
+            "true_within": truth.within_band or 0.0,
+            "true_surface_within": float(np.mean(of_truth[known])),
+            "true_width_K": half_width_K(prediction, true_half[2:]),
+            "true_surface_width_K": float(np.nanmean(true_half[0])),
+        })  # fmt: skip
+    return found
 
 
-def of_vehicle(declared: str, number: int, predicted: int = PREDICTED) -> list[dict[str, float]]:
+def of_vehicle(declared: str, number: int, times_flown: int = FLOWN) -> list[dict[str, float]]:
     """Coverage and widths of the flights of a vehicle that were not fitted."""
     rng = np.random.default_rng([SEED, DECLARED.index(declared), number])
     vehicle = Vehicle.drawn(rng, declared)
     with TemporaryDirectory() as name:
-        folder = Path(name)
-        flights = [vehicle.fly(rng, folder / f"flight_{k}") for k in range(FITTED + predicted)]
-        member = fitted_member([f.folder for f in flights[:FITTED]], folder / "estimate")
-        return [coverage_of(vehicle, f, member) for f in flights[FITTED:]]
+        fitted, predicted = [Path(name) / f"fitted_{k}" for k in range(FITTED)], Path(name) / "predicted"
+        for folder in fitted:
+            vehicle.fly(rng, folder, 1)
+        member = fitted_member(fitted, Path(name) / "estimate")
+        flights = vehicle.fly(rng, predicted, times_flown)
+        return coverage_of(vehicle, predicted, flights, member)
 
 
 # Figures -------------------------------------------------------------------------------------------------------------
@@ -343,9 +370,7 @@ def run() -> list[Figure]:
     """All vehicles, and the tiles."""
     figures = [f for declared, count in VEHICLES.items() for f in figures_of(declared, flights_of(declared, count))]
     figures += of_tiles()
-    figures += [
-        replace(f, what=f"{f.what}, from the other three") for f in tile_left_out.run() if "band" in f.what
-    ]
+    figures += [replace(f, what=f"{f.what}, from the other three") for f in tile_left_out.run() if "band" in f.what]
     save("coverage", figures)
     return figures
 

@@ -18,6 +18,7 @@ from tests.support.paths import ROOT
 
 NAMES = (
     "load_vehicle", "load_scenario", "load_record", "run", "synthesize", "predict", "estimate", "close_loop",
+    "stated_error",
     "update_tables", "plan", "design", "HeatingPlugin", "export_fmu", "export_ssp", "Effect", "effects", "InputError",
     "RunError", "__version__",
 )  # fmt: skip

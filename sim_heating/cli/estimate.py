@@ -212,6 +212,11 @@ def _level(text: str, hint: str) -> float:
     metavar="NAME",
     help="95 % interval of an estimated parameter by the profile of the likelihood, with a picture; may be repeated",
 )
+@click.option(
+    "--model-error",
+    is_flag=True,
+    help="errors of heating and flight, as the records state them, are part of the fit: for what is to predict others",
+)
 @parameter_options
 @ROOT
 def estimate(
@@ -230,6 +235,7 @@ def estimate(
     ratio_noise: str | None,
     segments: float | None,
     profiles: tuple[str, ...],
+    model_error: bool,
     root: Path | None,
 ) -> None:
     """Estimate heating and thermal parameters from the thermocouples of flight records, jointly, with bounds."""
@@ -255,8 +261,11 @@ def estimate(
             )
         if profiles:
             raise InputError("--segments: a profile is of one fit; leave out --profile")
+        if model_error:
+            raise InputError("--segments: segments are fitted without an error of the model; leave out --model-error")
         _estimate_trend(records, out, stated, segments, root)
         return
+    from sim_heating.closure.prior.stated_error import stated_error
     from sim_heating.estimation.fit import estimate as fit_records
     from sim_heating.estimation.report.remarks import further_warnings
     from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
@@ -265,6 +274,10 @@ def estimate(
     loaded, starts = _with_segments(load_records(records, root=root), stated)
     if profiles and noise is not None:
         raise InputError("--profile: is of a fit without process noise; leave out --process-noise and --ratio-noise")
+    if model_error and noise is not None:
+        raise InputError(
+            "--model-error: is of a fit without process noise; leave out --process-noise and --ratio-noise"
+        )
     files = output_files(loaded, filtered=noise is not None, profiles=bool(profiles))
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
     with progress_line("estimate") as progress:
@@ -278,6 +291,7 @@ def estimate(
             ties=stated.tie,
             starts=starts,
             process_noise=noise,
+            error_of=stated_error if model_error else None,
             profiles=profiles,
             progress=progress,
         )

@@ -14,7 +14,7 @@ from __future__ import annotations
 import html
 import logging
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -31,6 +31,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.table import Column, Table
 from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO, held_out, of_several, ratio_uncertainty
 from sim_heating.credibility.statement import Answer, Statement, assess
+from sim_heating.estimation.errors_in_fit import with_stated_errors
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.inference.bounds import ChannelResiduals as Residuals
@@ -39,6 +40,7 @@ from sim_heating.estimation.inference.conditions_noise import conditions_noise, 
 from sim_heating.estimation.inference.error_likelihood import noise_error, whitened
 from sim_heating.estimation.inference.identifiability import correlation
 from sim_heating.estimation.inference.likelihood import likelihood
+from sim_heating.estimation.inference.model_error import StatedError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status, check_parameters, maximise
 from sim_heating.estimation.inference.observability import (
     MAGNITUDES,
@@ -91,6 +93,8 @@ FEWEST_SAMPLES = 3
 """Least number of sample times in a fit."""
 REPORTED_CORRELATION = 0.5
 """Magnitude of a correlation [-] above which the text of a fit states it."""
+ERROR_ROUNDS = 2
+"""Fits with the error of the model about the values of the fit before."""
 NOISE_ROUNDS = 4
 NOISE_CHANGE = 0.01
 """Relative change below which noise has converged."""
@@ -340,6 +344,7 @@ def estimate(
     starts: Sequence[Start | StartMaker | None] | None = None,
     settings: NewtonSettings | None = None,
     process_noise: ProcessNoise | None = None,
+    error_of: Callable[[Record], StatedError] | None = None,
     profiles: Sequence[str] = (),
     progress: Progress = no_progress,
 ) -> FitResult:
@@ -358,6 +363,8 @@ def estimate(
     starts    : by record, where its march begins: a record_fit.Start, or what makes one (starts.STARTS)
     settings  : values that the iteration begins with, when it stops, and how far it may step
     process_noise : given or to be estimated; None for an output-error fit
+    error_of  : what the model of a record may be off, integrated out of the likelihood, as `stated_error` has it; None
+                for fits that know the noise alone
     profiles  : names of estimated parameters whose 95 % interval is sought by the profile (FitResult.profile)
     progress  : called with the fraction done and a line of text
     returns   : values, bounds, predictions [K] before and after, warnings
@@ -380,16 +387,23 @@ def estimate(
     """
     if profiles and process_noise is not None:
         raise InputError(WITHOUT_NOISE.format(profiles[0]))
+    if error_of is not None and process_noise is not None:
+        raise InputError("the error of the model and process noise: both are of the heating; leave one of the two out")
     listed = [records] if isinstance(records, (Record, str, os.PathLike)) else records
     loaded, outliers, notes = _cleaned(load_records(listed), progress)
     options = FitOptions(effects, fixed=fixed, priors=priors, bounds=bounds, ties=ties, starts=starts)
     first = {} if settings is None else settings.first_values
     problem, omitted = _informed_problem(loaded, parameters, joint_reference(loaded, reference), options, first)
-    fit, innovations = _fit(problem, first_values(problem, first), settings, progress), None
-    if process_noise is None:
-        problem, fit = _with_noisy_conditions(problem, fit, settings)
-    elif fit.status is not Status.NO_START:
-        fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
+    stated = [] if error_of is None else [error_of(r.record) for r in problem.record_fits]
+    start, innovations = first_values(problem, first), None
+    if any(s.heating is not None for s in stated):
+        problem, fit = _fit_with_errors(problem, start, stated, settings)
+    else:
+        fit = _fit(problem, start, settings, progress)
+        if process_noise is None:
+            problem, fit = _with_noisy_conditions(problem, fit, settings)
+        elif fit.status is not Status.NO_START:
+            fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
     wanted_profiles = problem.owners.labels(profiles)
     check_profiles(wanted_profiles, [u.label for u in problem.unknowns], innovations)
     fit_result = replace(_fit_result(problem, fit, omitted, notes, innovations), outliers=tuple(outliers))
@@ -721,6 +735,25 @@ def _with_noisy_conditions(problem: FitProblem, fit: Fit, settings: NewtonSettin
     noisy = problem.with_model_errors([None if n is None else noise_error(r, fit.values, n) for r, n in pairs])
     refined = maximise(noisy.evaluate, noisy.parameters, fit.values, noisy.log_likelihoods, settings)
     return noisy, replace(refined, iterations=fit.iterations + refined.iterations)
+
+
+def _fit_with_errors(
+    problem: FitProblem, first: FloatArray, stated: Sequence[StatedError], settings: NewtonSettings | None
+) -> tuple[FitProblem, Fit]:
+    """The problem with the errors of its models, as large as the readings say, and its fit."""
+    if any(c.sensor.noise_sigma_K is None for r in problem.record_fits for c in r.channels):
+        problem.update_noise(first)
+    problem.correct_meshes(first)
+    noisy, _ = with_stated_errors(problem, first, stated, sized=False)
+    fit = maximise(noisy.evaluate, noisy.parameters, first, noisy.log_likelihoods, settings)
+    for _ in range(ERROR_ROUNDS):
+        if fit.status is Status.NO_START:
+            break
+        noisy, _ = with_stated_errors(problem, fit.values, stated)
+        steps = fit.iterations
+        fit = maximise(noisy.evaluate, noisy.parameters, fit.values, noisy.log_likelihoods, settings)
+        fit = replace(fit, iterations=steps + fit.iterations)
+    return noisy, fit
 
 
 def _fit_filtered(problem: FitProblem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:

@@ -5,14 +5,14 @@ The point is marched with each independent error at one standard deviation, all 
 
     wall, effects   declared standard deviations, as in the uncertainty of a peak
     ratio table     its sigma along the flight, of one sign all along
-    estimate        the principal axes of an estimate's covariance, in place of the priors of its parameters, with what
-                    the errors of the flights that were fitted add to it (considered.py)
+    estimate        the principal axes of an estimate's covariance, in place of the priors of its parameters
     model           the smooth relative error of the heating (docs/theory/model_error.md, equation 1)
     trajectory      the directions in which a recorded flight may be another (there, equation 2)
 
 A wall that the fit of an estimate held, and that is other than declared, has given it other values: both change at
-once. The size of the heating's error is what the fitted flights say, or that of its prior. Several sizes, and several
-estimates that the evidence cannot tell apart, each with its weight, make a mixture of normal distributions.
+once (considered.py). The size of the heating's error is what the fitted flights say, or that of its prior. Several
+sizes, and several estimates that the evidence cannot tell apart, each with its weight, make a mixture of normal
+distributions.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
-from sim_heating.closure.prior.model_error import MEASURED_FLIGHT, heating_error_prior
+from sim_heating.closure.prior.model_error import MEASURED_FLIGHT
+from sim_heating.closure.prior.stated_error import other_flight, stated_error
 from sim_heating.closure.revise.evidence import fitted_use
 from sim_heating.credibility.facts.contributors import SCALE, WALL, dispersed_temperatures, varied_models
 from sim_heating.estimation.inference.error_likelihood import STEP, scaled_heating
-from sim_heating.estimation.inference.model_error import HeatingErrorPrior
+from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, correlation_root
 from sim_heating.estimation.report.estimate_file import Estimate, read_estimate
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.effects import combined_uses, use
@@ -42,7 +43,7 @@ from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import SensorErrors, lags_s
 from sim_heating.march.history import BAND_PROBABILITY, Band, sensed_temperatures, values_at
 from sim_heating.march.point import PointModel
-from sim_heating.planning.considered import Considered, considered, fitted_records, other_flight
+from sim_heating.planning.considered import Considered, considered, fitted_records
 from sim_heating.simulation.predict import Prediction, predict
 from sim_heating.simulation.run import RunResult
 
@@ -50,6 +51,8 @@ KNOTS_A_TIME, MOST_KNOTS = 2.0, 100
 """Knots of the model's error in each of its shortest correlation times, and their largest number."""
 HEATED = 0.01
 """Part of the highest heating of a cold wall above which the model's error has knots of its own [-]."""
+LEAST_TIME = 0.02
+"""Weight of a correlation time below which the knots need not follow it [-]."""
 LEAST_WEIGHT = 1e-3
 """Weight of a size of the heating's error below which it is left out [-]."""
 MODEL_PREFIXES = ("ratio.", "stack.", "back.", EFFECT_PREFIX)
@@ -68,7 +71,9 @@ class Member:
     considered: Considered | None = None
 
 
-def read_member(path: str | os.PathLike[str], weight: float = 1.0, root: str | os.PathLike[str] | None = None) -> Member:
+def read_member(
+    path: str | os.PathLike[str], weight: float = 1.0, root: str | os.PathLike[str] | None = None
+) -> Member:
     """An estimate.json, or the one in a directory, as a member.
 
     raises : InputError where it cannot be read, or the records that were fitted are not there or were changed
@@ -134,12 +139,9 @@ def _estimate_errors(model: PointModel, member: Member) -> Iterator[PointModel]:
     """Models one standard deviation along each principal axis of an estimate's covariance, within its bounds."""
     estimate = member.estimate
     assert estimate is not None  # asked for with one
-    names, labels = estimated_names(model, estimate), list(estimate.parameters)
-    at = [labels.index(n) for n in names.values()]
-    known = estimate.covariance(labels) if member.considered is None else member.considered.covariance
-    sigma = np.sqrt(np.diag(known)[at])
-    scale = np.where(sigma > 0.0, sigma, 1.0)
-    variance, axes = np.linalg.eigh(known[np.ix_(at, at)] / np.outer(scale, scale))
+    names = estimated_names(model, estimate)
+    sigma = np.array([estimate.parameters[n].sigma for n in names.values()])
+    variance, axes = np.linalg.eigh(estimate.correlation_matrix(list(names.values())))
     for v, axis in zip(np.maximum(variance, 0.0), axes.T, strict=True):
         yield _moved(model, estimate, np.sqrt(v) * sigma * axis)
 
@@ -190,19 +192,19 @@ def _table_error(model: PointModel, flown: Conditions) -> Conditions | None:
     return flown.with_columns(h_ref_kg_m2_s=flown["h_ref_kg_m2_s"] * (1.0 + relative))
 
 
-def heating_sizes(prior: HeatingErrorPrior | None, member: Member) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """(size,) standard deviations of the heating's error [-], (time,) correlation times [s], and the (time, size)
-    probability of each: as the flights behind a member say, else of the prior; None without an error.
+def heating_sizes(prior: HeatingErrorPrior | None, member: Member) -> ErrorSize | None:
+    """Sizes and correlation times of the heating's error: as the flights behind a member say, else as the prior has
+    them; None without an error.
 
     Source: docs/theory/model_error.md, equation 5.
     """
     known = None if member.considered is None else member.considered.size
     if known is not None:
-        return known.sizes, known.times_s, known.posterior
+        return known
     if prior is None or prior.relative == 0.0:
         return None
     sizes, times_s, log_weight = prior.grid()
-    return sizes, times_s, np.exp(log_weight)
+    return ErrorSize(sizes, times_s, np.zeros_like(log_weight), log_weight)
 
 
 def spreads(
@@ -248,7 +250,8 @@ def spreads(
     if sizes is not None:
         flux = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
         heated_s = flown.time_s[flux >= HEATED * np.max(flux)]
-        count = int(np.ceil(np.ptp(heated_s) / np.min(sizes[1]) * KNOTS_A_TIME)) + 1
+        shortest_s = float(np.min(sizes.times_s[np.sum(sizes.posterior, axis=1) > LEAST_TIME]))
+        count = int(np.ceil(np.ptp(heated_s) / shortest_s * KNOTS_A_TIME)) + 1
         knots = np.linspace(heated_s[0], heated_s[-1], min(max(count, 2), MOST_KNOTS))
         variants += [(central, c) for c in scaled_heating(flown, knots)]
     marched = dispersed_temperatures(central, flown, variants, longest_step_s)
@@ -262,7 +265,7 @@ def spreads(
     other = np.sum(changes[:first] ** 2, axis=0)
     by_size, weights, expected = [other], np.ones(1), 0.0
     if sizes is not None:
-        by_size, weights = _with_model_error(other, changes[first:], knots, *sizes)
+        by_size, weights = _with_model_error(other, changes[first:], knots, sizes)
         expected = float(sum(w * (s - other)[0, peak] for w, s in zip(weights, by_size, strict=True)))
         squares["model"] = expected
     ordered = dict(sorted(((n, s**0.5) for n, s in squares.items()), key=lambda item: -item[1]))
@@ -270,27 +273,22 @@ def spreads(
 
 
 def _with_model_error(
-    other_K2: FloatArray,
-    changes_K: FloatArray,
-    knots_s: FloatArray,
-    sizes: FloatArray,
-    times_s: FloatArray,
-    probability: FloatArray,
+    other_K2: FloatArray, changes_K: FloatArray, knots_s: FloatArray, known: ErrorSize
 ) -> tuple[list[FloatArray], FloatArray]:
     """(channel, time) variances for each size of the heating's error [K2], and (size,) weights.
 
-    other_K2    : (channel, time) variance by all else
-    changes_K   : (knot, channel, time) change of the temperatures by STEP of the heating at each knot
-    probability : (time, size) of sizes [-] and correlation times [s]
+    other_K2  : (channel, time) variance by all else
+    changes_K : (knot, channel, time) change of the temperatures by STEP of the heating at each knot
 
-    Source: docs/theory/model_error.md, equations 1 and 5.
+    Source: docs/theory/model_error.md, equations 1, 5 and 14.
     """
-    response, apart = np.moveaxis(changes_K, 0, -1) / STEP, np.abs(knots_s[:, np.newaxis] - knots_s)
-    by_time = [np.sum((response @ np.linalg.cholesky(np.exp(-apart / tau))) ** 2, axis=-1) for tau in times_s]
+    response, probability = np.moveaxis(changes_K, 0, -1) / STEP, known.posterior
+    roots = [correlation_root(knots_s, float(tau), smooth=known.smooth) for tau in known.times_s]
+    by_time = np.array([np.sum((response @ root) ** 2, axis=-1) for root in roots])
     weights = np.sum(probability, axis=0)
     kept = np.flatnonzero(weights > LEAST_WEIGHT)
     variances = [
-        other_K2 + sizes[k] ** 2 * np.tensordot(probability[:, k] / weights[k], np.array(by_time), 1) for k in kept
+        other_K2 + known.sizes[k] ** 2 * np.tensordot(probability[:, k] / weights[k], by_time, 1) for k in kept
     ]
     return variances, weights[kept] / np.sum(weights[kept])
 
@@ -352,7 +350,7 @@ def predict_with_band(
     flown, t = found.conditions, record.time_s
     inside = t[(t >= flown.time_s[0]) & (t <= flown.time_s[-1])]
     times = np.union1d(flown.time_s, inside)
-    others, prior = _other_flights(record, times), heating_error_prior(record)
+    others, prior = _other_flights(record, times), stated_error(record).heating
     band = band_of([spreads(declared, flown.at(times), m, prior, others) for m in members], members)
     at_samples = replace(band, low_K=values_at(times, band.low_K, t), high_K=values_at(times, band.high_K, t))
     return replace(found, history=replace(found.history, band=at_samples))

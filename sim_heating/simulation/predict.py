@@ -22,7 +22,7 @@ from sim_heating.credibility.statement import Facts, Statement, assess
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.reference.models import beyond_range
 from sim_heating.inputs.points import conditions_of_record, flow_of_record, point_of_record
-from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
+from sim_heating.inputs.record import Record, Sensor, load_record, pooled_rmse_K
 from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature, lags_s
 from sim_heating.march.history import (
     BAND_PROBABILITY,
@@ -88,12 +88,12 @@ class Prediction:
 
     @property
     def within_band(self) -> float | None:
-        """Share of the readings of used sensors within the band, their noise included; None without a band."""
+        """Share of the readings of used sensors within the band, noise and rounding included; None without a band."""
         band, record = self.history.band, self.record
         if band is None:
             return None
         used = [i for i, s in enumerate(record.sensors) if s.used]
-        noise = np.array([record.sensors[i].noise_sigma_K or 0.0 for i in used])[:, np.newaxis]
+        noise = reading_noise_K([record.sensors[i] for i in used])[:, np.newaxis]
         low, high = (x[2:][used] for x in (band.low_K, band.high_K))
         read = self.history.sensors_K[used] + self.residual_K[used]
         known = np.isfinite(read) & np.isfinite(low)
@@ -180,6 +180,14 @@ def predict(
     return Prediction(
         record, history, indicated, residual, tuple(table_excursions(model, conditions)), model, conditions
     )
+
+
+def reading_noise_K(sensors: Sequence[Sensor]) -> FloatArray:
+    """(sensor,) standard deviation of a reading about the temperature of its sensor, rounding included [K].
+
+    A sensor that declares no noise has its rounding alone. Source: docs/theory/model_error.md, equation 1.
+    """
+    return np.array([np.hypot(s.noise_sigma_K or 0.0, s.lsb_K / np.sqrt(12.0)) for s in sensors])
 
 
 def _resampled(marched: PointHistory, time_s: FloatArray) -> PointHistory:

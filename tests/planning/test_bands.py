@@ -12,12 +12,13 @@ import pytest
 from scipy.special import ndtr
 
 from sim_heating import cli
+from sim_heating.closure.prior.stated_error import other_flight, stated_error
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.report.estimate_file import write_estimate
 from sim_heating.estimation.report.report import estimate_contents
 from sim_heating.inputs.record import load_record
 from sim_heating.planning.bands import Member, Spread, mixture_quantile, predict_with_band
-from sim_heating.planning.considered import considered, other_flight
+from sim_heating.planning.considered import considered
 from tests.support.paths import SCENARIOS
 
 P06 = SCENARIOS / "records" / "practice" / "p06"
@@ -104,18 +105,20 @@ def test_most_of_the_error_of_an_emittance_cancels_where_the_fitted_point_flies_
     assert with_moves < 0.3 * alone
 
 
-def test_errors_of_the_fitted_flight_widen_the_covariance_of_its_estimate(tmp_path: Path):
-    """A constant relative error of 5 % is one of the magnitude."""
-    held, _ = fitted()
+def test_a_magnitude_is_no_better_known_than_a_lasting_error_of_its_heating(tmp_path: Path):
+    """A constant relative error of the heating is one of the magnitude: its size joins sigma in squares."""
     copy = shutil.copytree(P06, tmp_path / "p06")
     stated = (copy / "record.toml").read_text()
     (copy / "record.toml").write_text(stated + "\n[heating.uncertainty]\nrelative = 0.05\ncorrelation_s = 1e5\n")
-    found = considered(held, [load_record(copy)])
-    k = list(held.parameters).index("ratio.scale")
-    assert found.size is not None
-    rms = float(np.sqrt(found.size.posterior.sum(axis=0) @ found.size.sizes**2))
-    own = held.parameters["ratio.scale"].white_sigma
-    assert np.sqrt(found.covariance[k, k]) == pytest.approx(np.hypot(own, rms), rel=0.15)
+    names, record = ["ratio.scale", "ratio.d_alpha"], load_record(copy)
+    alone, known = (estimate(record, names, error_of=e) for e in (None, stated_error))
+    error = estimate_contents(known).model_error
+    assert error is not None
+    assert known.parameters["ratio.scale"].sigma == pytest.approx(
+        np.hypot(np.sqrt(alone.bounds.white[0, 0]), error.relative * (1.0 + known.parameters["ratio.scale"].value)),
+        rel=0.05,
+    )
+    assert known.parameters["ratio.d_alpha"].sigma == pytest.approx(np.sqrt(alone.bounds.white[1, 1]), rel=0.1)
 
 
 def test_the_clock_of_a_flight_shifts_all_that_is_predicted(tmp_path: Path):

@@ -476,4 +476,4 @@ def error_size(
             step = np.linalg.lstsq(M, g, rcond=None)[0]
             volume = float(np.sum(np.log1p(variance))) + float(np.linalg.slogdet(M[:flight, :flight])[1])
             log_likelihood[i, k] = -0.5 * (square - float(g @ step) + volume)
-    return ErrorSize(sizes, times_s, log_likelihood, weights)
+    return ErrorSize(sizes, times_s, log_likelihood, weights, error.smooth)

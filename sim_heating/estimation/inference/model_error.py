@@ -42,6 +42,8 @@ FLIGHT_PREFIX = "flight."
 """Beginning of the names of the errors of a flight, where these are unknowns of a fit."""
 MOST_NOISE_KNOTS = 150
 """Largest number of knots of white noise of the heating."""
+JITTER = 1e-8
+"""Added to the diagonal of a smooth correlation matrix, which rounding may make indefinite [-]."""
 TIMES = 4
 """Correlation times that it is integrated over, evenly spaced on a logarithmic scale."""
 
@@ -98,6 +100,17 @@ class FlightError(Protocol):
 
         Source: docs/theory/model_error.md, equation 2.
         """
+
+
+@dataclass(frozen=True, eq=False)
+class StatedError:
+    """What the model of a record may be off before any reading.
+
+    heating : prior of the error of its heating, None where that is exact;  flight : the error of its flight, likewise
+    """
+
+    heating: HeatingErrorPrior | None
+    flight: FlightError | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +177,19 @@ class HeatingNoise:
         return np.sqrt(np.divide(variance, width_s**2, out=np.zeros_like(variance), where=width_s > 0.0))
 
 
+def correlation_root(time_s: FloatArray, correlation_s: float, *, smooth: bool = False) -> FloatArray:
+    """(knot, knot) lower root of the correlation matrix of the heating's error at some times [-].
+
+        exp(-x), or where it is smooth (1 + sqrt(5) x + 5 x^2 / 3) exp(-sqrt(5) x),    x = |t_i - t_j| / tau
+
+    Source: docs/theory/model_error.md, equations 1 and 14; the second after B. Matern, Spatial Variation (1960).
+    """
+    x = np.abs(time_s[:, np.newaxis] - time_s) / correlation_s
+    y = math.sqrt(5.0) * x
+    kernel = (1.0 + y + y**2 / 3.0) * np.exp(-y) if smooth else np.exp(-x)
+    return np.asarray(np.linalg.cholesky(kernel + (JITTER * np.eye(len(x)) if smooth else 0.0)))
+
+
 @dataclass(frozen=True, eq=False)
 class ModelError:
     """The error of the model of one record.
@@ -174,6 +200,7 @@ class ModelError:
     flight_K   : (sensor, sample, direction) change of a reading for one standard deviation along a direction [K]
     flight     : the directions; None where the flight has no error
     sigma      : standard deviation of the heating's error [-];  correlation_s : its correlation time [s]
+    smooth     : whether it has no corners: equation 14 in place of equation 1
     noise      : of the sensors whose noise changes slowly, by their numbers
     heating_noise : white noise of the heating, which the noise of the conditions gives; None without any
     white_K    : (sensor, sample, value) change of a reading for one standard deviation of each value of the heating's
@@ -193,6 +220,7 @@ class ModelError:
     noise: Mapping[int, CorrelatedNoise] = field(default_factory=dict)
     heating_noise: HeatingNoise | None = None
     white_K: FloatArray | None = None
+    smooth: bool = False
 
     @property
     def is_noise_alone(self) -> bool:
@@ -205,8 +233,7 @@ class ModelError:
 
         L / s of docs/theory/model_error.md, equation 1.
         """
-        apart = np.abs(self.time_s[:, np.newaxis] - self.time_s)
-        return np.asarray(np.linalg.cholesky(np.exp(-apart / self.correlation_s)))
+        return correlation_root(self.time_s, self.correlation_s, smooth=self.smooth)
 
     def of_size(self, sigma: float, correlation_s: float) -> ModelError:
         """This error with another standard deviation [-] and correlation time [s] of the heating.
@@ -266,12 +293,14 @@ class ErrorSize:
     sizes  : (size,) standard deviations [-];  times_s : (time,) correlation times [s]
     log_likelihood : (time, size) largest over the parameters, the error integrated out
     log_weight     : (time, size) of the prior
+    smooth         : whether that error has no corners
     """
 
     sizes: FloatArray
     times_s: FloatArray
     log_likelihood: FloatArray
     log_weight: FloatArray
+    smooth: bool = False
 
     @property
     def evidence(self) -> float:
@@ -304,6 +333,11 @@ class ErrorSize:
     def mean(self) -> float:
         """Mean of the standard deviation [-]: docs/theory/model_error.md, equation 5."""
         return float(self.posterior.sum(axis=0) @ self.sizes)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the standard deviation [-]: docs/theory/model_error.md, equation 5."""
+        return math.sqrt(float(self.posterior.sum(axis=0) @ self.sizes**2))
 
     def limit(self, probability: float = 0.95) -> float:
         """Limit that the standard deviation is below with a probability [-]: docs/theory/model_error.md, equation 5."""

@@ -199,6 +199,19 @@ class FittedStart(Extensible):
         return self
 
 
+class FittedError(Extensible):
+    """The error of the model that was integrated out of the likelihood: of the heating, as large as the readings say.
+
+    relative      : standard deviation over the heating
+    correlation_s : correlation time
+
+    Source: docs/theory/model_error.md, equation 5.
+    """
+
+    relative: float = Field(ge=0.0)
+    correlation_s: float = Field(gt=0.0)
+
+
 class Estimate(Extensible):
     """Contents of estimate.json.
 
@@ -224,6 +237,7 @@ class Estimate(Extensible):
     provenance          : command, inputs with their digests, seed, versions, platform
     record_names        : of each record, as in the names of its parameters; None: those of the directories
     remarks             : on estimates that nature does not have, or that mean less than their sigma says
+    model_error         : that the fit had; None for one that knows the noise alone
     finding             : of the closed loop whose best model this is the fit of; None for an estimate by itself
     """
 
@@ -252,6 +266,7 @@ class Estimate(Extensible):
     provenance: dict[str, Any] | None = None
     record_names: list[str] | None = None
     remarks: list[Remark] = Field(default=[])
+    model_error: FittedError | None = None
     finding: str | None = None
 
     def __repr__(self) -> str:
@@ -398,7 +413,7 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
     optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program", "provenance",
-                "fixed", "ties", "record_names", "remarks", "finding")  # fmt: skip
+                "fixed", "ties", "record_names", "remarks", "model_error", "finding")  # fmt: skip
     data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
     data = {k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}
     write_json(path, with_digest(with_provenance(data)))

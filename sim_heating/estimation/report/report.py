@@ -100,6 +100,7 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "credibility": fitted.credibility.as_json(),
             "record_names": [r.name for r in records] if any(r.label for r in records) else None,
             "remarks": remarks(fitted),
+            "model_error": _model_error(fitted),
         }
     )
 
@@ -140,6 +141,13 @@ def _effects(fitted: FitResult) -> list[dict[str, Any]]:
         for point, model in models.items()
         for used in model.effects
     ]
+
+
+def _model_error(fitted: FitResult) -> dict[str, float] | None:
+    """Size of the heating's error and its correlation time [s], in a fit with an error of its model."""
+    errors = [r.model_error for r in fitted.problem.record_fits]
+    first = next((e for e in errors if e is not None and not e.is_noise_alone), None)
+    return None if first is None else {"relative": first.sigma, "correlation_s": first.correlation_s}
 
 
 def _process_noise(fitted: FitResult) -> dict[str, Any] | None:

@@ -7,9 +7,9 @@ the future (march/linearised.py):
 
 dT/dp begins with the sensitivities that the filter carries. A ratio that wanders is taken to stay where it is, from now
 on with the variance that it has in the long run: sigma is then rather too large than too small. So is the smooth error
-of the heating that a link may state (docs/theory/model_error.md, equation 1), which lasts longer than most horizons. The
-probability that a limit is passed is that of the normal z for which m + X z passes it at any step; the effects that a
-model lacks are not in it.
+of the heating that a link may state (docs/theory/model_error.md, equation 1), which lasts longer than most horizons.
+The probability that a limit is passed is that of the normal z for which m + X z passes it at any step; the effects that
+a model lacks are not in it.
 
     ahead = LookAhead(estimator.source, limits, Futures.of_scenario(scenario, estimator.source.columns))
     ahead.predict(estimator.estimates(), frame)["V09T9527"].knock_off_by_s

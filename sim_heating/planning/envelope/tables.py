@@ -87,7 +87,7 @@ def write_map(path: Path, study: Study, flown: FlownMap) -> None:
 
 
 def has_bands(study: Study) -> bool:
-    """Whether the sigma of a study's temperatures is by all that is uncertain, so that margins are stated at the band."""
+    """Whether the sigma of a study's temperatures is by all that is uncertain: margins are then stated at the band."""
     envelope = study.declared.envelope
     return envelope is not None and envelope.bands
 
