@@ -10,7 +10,7 @@ The point is marched with each independent error at one standard deviation, all 
     trajectory      the directions in which a recorded flight may be another (there, equation 2)
 
 A wall that the fit of an estimate held, and that is other than declared, has given it other values: both change at
-once (considered.py). The size of the heating's error is what the fitted flights say, or that of its prior. Several
+once, as `estimate` (considered.py). The size of the heating's error is what the fitted flights say, or that of its prior. Several
 sizes, and several estimates that the evidence cannot tell apart, each with its weight, make a mixture of normal
 distributions.
 """
@@ -31,7 +31,7 @@ from sim_heating.base.parameters import AT, EFFECT_PREFIX
 from sim_heating.closure.prior.model_error import MEASURED_FLIGHT
 from sim_heating.closure.prior.stated_error import other_flight, stated_error
 from sim_heating.closure.revise.evidence import fitted_use
-from sim_heating.credibility.facts.contributors import SCALE, WALL, dispersed_temperatures, varied_models
+from sim_heating.credibility.facts.contributors import SCALE, dispersed_temperatures, varied_models
 from sim_heating.estimation.inference.error_likelihood import STEP, scaled_heating
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, correlation_root
 from sim_heating.estimation.report.estimate_file import Estimate, read_estimate
@@ -135,49 +135,40 @@ def estimated_model(model: PointModel, estimate: Estimate, values: dict[str, flo
     )
 
 
-def _estimate_errors(model: PointModel, member: Member) -> Iterator[PointModel]:
-    """Models one standard deviation along each principal axis of an estimate's covariance, within its bounds."""
-    estimate = member.estimate
-    assert estimate is not None  # asked for with one
-    names = estimated_names(model, estimate)
-    sigma = np.array([estimate.parameters[n].sigma for n in names.values()])
-    variance, axes = np.linalg.eigh(estimate.correlation_matrix(list(names.values())))
-    for v, axis in zip(np.maximum(variance, 0.0), axes.T, strict=True):
-        yield _moved(model, estimate, np.sqrt(v) * sigma * axis)
-
-
-def _moved(
-    model: PointModel, estimate: Estimate, step: FloatArray, others: dict[str, float] | None = None
-) -> PointModel:
-    """A point with estimates that differ by a step, to either side, as far as their bounds allow.
-
-    others : values of further parameters, which are of the one side alone
-    """
-    names = estimated_names(model, estimate)
-    values = estimate.values(list(names.values()))
-    fitted = estimated_model(model, estimate)
-    low, high = np.array([(d.lower, d.upper) for d in map(fitted.definition, names)]).T
-    sides = (values + step,) if others else (values + step, values - step)
-    there = next((t for t in sides if np.all((t >= low) & (t <= high))), np.clip(values + step, low, high))
-    return estimated_model(model, estimate, dict(zip(names, there.tolist(), strict=True)) | (others or {}))
-
-
-def _wall_error(model: PointModel, member: Member, name: str, changed: PointModel) -> PointModel:
-    """The point with another wall, and with the estimates that a fit which held the declared wall would then have.
-
-    name : of the parameter of the wall;  changed : the point with it a standard deviation off
-    """
+def _open_parameters(model: PointModel, member: Member) -> tuple[dict[str, float], FloatArray]:
+    """Values by name in the model of what an estimate leaves open of a point, walls that its fit held among them, and
+    their covariance."""
     estimate, known = member.estimate, member.considered
-    if estimate is None or known is None:
-        return changed
-    moves = known.moves.get(f"{name}{AT}{model.name}", known.moves.get(name))
-    if moves is None:
-        return changed
-    labels, place = list(estimate.parameters), changed.places[name]
-    value = float(changed.values[place])
-    off = value - float(estimated_model(model, estimate).values[place])
-    at = [labels.index(n) for n in estimated_names(model, estimate).values()]
-    return _moved(model, estimate, off * moves[at], {name: value})
+    assert estimate is not None  # asked for with one
+    own = estimated_names(model, estimate)
+    values = {n: estimate.parameters[label].value for n, label in own.items()}
+    if known is None:
+        return values, estimate.covariance(list(own.values()))
+    fitted = estimated_model(model, estimate)
+    for label in known.names[len(estimate.parameters) :]:
+        name, _, owner = label.partition(AT)
+        if owner in ("", model.name):
+            own[name] = label
+            values[name] = float(fitted.values[fitted.places[name]])
+    at = [known.names.index(label) for label in own.values()]
+    return values, known.covariance[np.ix_(at, at)]
+
+
+def _estimate_errors(model: PointModel, member: Member) -> Iterator[PointModel]:
+    """Models one standard deviation along each principal axis of what an estimate leaves open, within its bounds."""
+    assert member.estimate is not None  # asked for with one
+    values, covariance = _open_parameters(model, member)
+    at, sigma = np.array(list(values.values())), np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    variance, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    fitted = estimated_model(model, member.estimate)
+    low, high = np.array([(d.lower, d.upper) for d in map(fitted.definition, values)]).T
+    for v, axis in zip(np.maximum(variance, 0.0), axes.T, strict=True):
+        step = np.sqrt(v) * sigma * axis
+        there = next(
+            (t for t in (at + step, at - step) if np.all((t >= low) & (t <= high))), np.clip(at + step, low, high)
+        )
+        yield estimated_model(model, member.estimate, dict(zip(values, there.tolist(), strict=True)))
 
 
 def _table_error(model: PointModel, flown: Conditions) -> Conditions | None:
@@ -227,7 +218,7 @@ def spreads(
     """
     estimate = member.estimate
     central = model if estimate is None else estimated_model(model, estimate)
-    names = [] if estimate is None else list(estimated_names(model, estimate))
+    names = [] if estimate is None else list(_open_parameters(model, member)[0])
     hottest = int(np.argmax(flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]))
     labels, variants = list[str](), list[tuple[PointModel, Conditions]]()
 
@@ -237,7 +228,7 @@ def spreads(
 
     for name, changed in varied_models(central, flown, hottest):
         if name != SCALE and not any(central.same_parameter(name, n) for n in names):
-            add(name, _wall_error(model, member, name, changed) if name in WALL else changed, flown)
+            add(name, changed, flown)
     of_ratio = any(n.startswith("ratio.") for n in names)
     table = None if of_ratio or not with_table else _table_error(central, flown)
     if table is not None:

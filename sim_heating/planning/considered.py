@@ -1,23 +1,22 @@
 """What an estimate leaves open for another flight: errors behind it that its own standard deviations do not have.
 
-wall     A parameter w that the fit held at its declared value. With the information W of the readings, sensitivities J
-         and J_w, and M = J' W J + P with the information P of priors, the estimates with another wall are
+wall     Parameters w that the fit held at their declared values. With the information W of the readings, sensitivities
+         J and J_w, and M = J' W J + P with the information P of priors, the estimates with another wall are
 
-             p(w) = p - M^-1 J' W J_w w
+             p(w) = p - A w,   A = M^-1 J' W J_w,   cov w = (P_w + J_w' W (J_w - J A))^-1
 
          so that most of the error of a wall cancels in a prediction.
 heating  The size of the heating's error, as the readings say with the wall free within its priors: a wrong wall does
          not count as one.
 
-Source: consider analysis, B. D. Tapley, B. E. Schutz and G. H. Born, Statistical Orbit Determination (2004), chapter 6;
-docs/theory/model_error.md, equations 5 and 12.
+The values stay those of the estimate. Source: docs/theory/model_error.md, equations 5 and 12.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -48,12 +47,13 @@ from sim_heating.inputs.record import Record, named_apart, record_digest
 class Considered:
     """What an estimate leaves open for another flight.
 
-    moves : parameter of the wall that was held, with its owner where several points were fitted -> (parameter,) by how
-            much the estimates, in their order, are otherwise where it is larger by 1
-    size  : what the readings say of the size of the heating's error; None where the model of no record has one
+    names      : labels of the estimated parameters and of those of the wall that were held
+    covariance : (name, name) of them, each in its unit
+    size       : what the readings say of the size of the heating's error; None where the model of no record has one
     """
 
-    moves: Mapping[str, FloatArray] = field(default_factory=dict)
+    names: tuple[str, ...]
+    covariance: FloatArray
     size: ErrorSize | None = None
 
 
@@ -91,11 +91,11 @@ def considered(estimate: Estimate, records: Sequence[Record]) -> Considered:
     raises  : InputError, RunError where the model of the estimate cannot be marched along them
     """
     labels = list(estimate.parameters)
+    own = estimate.covariance(labels)
     if estimate.innovations is not None or estimate.starts is not None or any(n.startswith(OF_START) for n in labels):
-        return Considered()
+        return Considered(tuple(labels), own)
     cleaned = [averaged_record(without_outliers(without_stuck_sensors(r)[0])[0])[0] for r in records]
     problem = _problem(estimate, cleaned)
-    every = [u.label for u in problem.unknowns]
     fitted = {n: p.value for n, p in estimate.parameters.items()}
     values = np.array([fitted.get(u.label, u.parameter.value) for u in problem.unknowns])
     if any(c.sensor.noise_sigma_K is None for r in problem.record_fits for c in r.channels):
@@ -103,16 +103,24 @@ def considered(estimate: Estimate, records: Sequence[Record]) -> Considered:
     problem.correct_meshes(values)
     noisy, size = with_stated_errors(problem, values, [stated_error(r.record) for r in problem.record_fits])
     inside = problem if estimate.model_error is None else noisy
-    at = np.array([every.index(n) for n in labels])
-    moves_at = np.array([estimate.parameters[n].sigma > 0.0 for n in labels])  # one on its bound does not move
-    free, held = at[moves_at], [k for k, n in enumerate(every) if n not in labels]
+    held = [k for k, u in enumerate(problem.unknowns) if u.label not in labels]
+    if not held:
+        return Considered(tuple(labels), own, size)
+    at = np.array([[u.label for u in problem.unknowns].index(n) for n in labels])
+    moved = np.diag(own) > 0.0  # one on its bound does not move
     information = inside.evaluate(values).information + np.diag([p.sigma**-2.0 for p in problem.parameters])
-    inverse = covariance(information[np.ix_(free, free)])
-    inverse = np.where(np.isfinite(inverse), inverse, 0.0)
-    moves = {every[k]: np.zeros(len(labels)) for k in held}
-    for k in held:
-        moves[every[k]][moves_at] = -inverse @ information[free, k]
-    return Considered(moves, size)
+    free = at[moved]
+    A = np.zeros((len(labels), len(held)))
+    A[moved] = _known(information[np.ix_(free, free)]) @ information[np.ix_(free, held)]
+    of_wall = _known(information[np.ix_(held, held)] - information[np.ix_(held, at)] @ A)
+    joint = np.block([[own + A @ of_wall @ A.T, -A @ of_wall], [-of_wall @ A.T, of_wall]])
+    return Considered((*labels, *(problem.unknowns[k].label for k in held)), joint, size)
+
+
+def _known(information: FloatArray) -> FloatArray:
+    """Covariance of parameters; 0 of those that nothing informs."""
+    found = covariance(information)
+    return np.where(np.isfinite(found), found, 0.0)
 
 
 def _problem(estimate: Estimate, records: Sequence[Record]) -> FitProblem:
