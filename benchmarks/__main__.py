@@ -13,7 +13,7 @@ NAMES = (
     "verification", "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "envelope",
     "end_to_end", "ground_step", "skew", "segments", "design",
     "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
-    "tile_left_out",
+    "tile_left_out", "coverage",
     "kaowool", "paper_figures", "dispersion", "dispersed_entry", "demo", "practice", "findings",
     "closure", "closure_challenge", "campaign",
     "live", "journals", "mutants", "kills", "study_kills", "concurrency", "reliability",

@@ -10,9 +10,9 @@ The point is marched with each independent error at one standard deviation, all 
     trajectory      the directions in which a recorded flight may be another (there, equation 2)
 
 A wall that the fit of an estimate held, and that is other than declared, has given it other values: both change at
-once, as `estimate` (considered.py). The size of the heating's error is what the fitted flights say, or that of its prior. Several
-sizes, and several estimates that the evidence cannot tell apart, each with its weight, make a mixture of normal
-distributions.
+once, as `estimate` (considered.py). The size of the heating's error is what the fitted flights say, or that of its
+prior. Several sizes, and several estimates that the evidence cannot tell apart, each with its weight, make a mixture of
+normal distributions.
 """
 
 from __future__ import annotations
