@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.kernels.block import H_REF
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.live.ahead.futures import Course, FlownPath, Futures
 from sim_heating.live.ahead.look_ahead import RESOLUTION_S, LookAhead, Predicted, passing_probability
@@ -179,7 +180,7 @@ def test_wandering_ratio_is_carried_on_with_its_long_run_uncertainty(source, fut
 
 
 def test_an_error_of_the_heating_widens_the_bands_by_what_hotter_heating_does(source, futures, now) -> None:
-    """Against a march whose ratio is 5 % higher from now on."""
+    """Against a march with 5 % more reference heating from now on."""
     estimates, frame = now
     state = estimates[POINT].state
     plain = LookAhead(source, {}, None, 60.0).predict(estimates, frame)[POINT].futures["held"]
@@ -187,11 +188,11 @@ def test_an_error_of_the_heating_widens_the_bands_by_what_hotter_heating_does(so
     added = np.sqrt(wide.surface_sigma_K[-1] ** 2 - plain.surface_sigma_K[-1] ** 2)
     time_s = np.arange(NOW_S, NOW_S + 60.125, 0.25)
     history = source.histories({n: np.full(len(time_s), v) for n, v in frame.values.items()} | {"time_s": time_s})[0]
-    model = source.points[0].model
-    ends = [
-        march(model.with_parameters({"ratio.scale": s}), source, state.temperature_K, time_s, history)[0, -1]
-        for s in (0.0, 0.05)
-    ]
+    model, own = source.points[0].model, dict(zip(state.names, state.values.tolist(), strict=True))
+    more = history.copy()
+    more[:, H_REF] *= 1.05
+    model = model.with_parameters(own)
+    ends = [march(model, source, state.temperature_K, time_s, h)[0, -1] for h in (history, more)]
     assert added == pytest.approx(ends[1] - ends[0], rel=0.05)
 
 
