@@ -270,8 +270,8 @@ class AheadSettings(Declared):
                   conditions held are the only future
     keep        : probability with which stopping the manoeuvre at "knock it off by" keeps all limits
     every_s     : time between two predictions
-    heating_error : relative error of the heating that the bands allow for beside the estimate, one standard deviation;
-                  0 for none
+    heating_error : relative error of the heating ratio that the bands allow for beside the estimate, one standard
+                  deviation; 0 for none. In turbulent flow it acts on the laminar part
     """
 
     quantities: ClassVar = dict.fromkeys(("horizon_s", "keep", "every_s", "heating_error"))

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import H_REF
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.live.ahead.futures import Course, FlownPath, Futures
 from sim_heating.live.ahead.look_ahead import RESOLUTION_S, LookAhead, Predicted, passing_probability
@@ -179,8 +178,8 @@ def test_wandering_ratio_is_carried_on_with_its_long_run_uncertainty(source, fut
     assert sigma[-1] >= later.surface_sigma_K
 
 
-def test_an_error_of_the_heating_widens_the_bands_by_what_hotter_heating_does(source, futures, now) -> None:
-    """Against a march with 5 % more reference heating from now on."""
+def test_an_error_of_the_ratio_widens_the_bands_by_what_a_higher_ratio_does(source, futures, now) -> None:
+    """Against a march whose laminar ratio is 5 % of the whole ratio higher from now on."""
     estimates, frame = now
     state = estimates[POINT].state
     plain = LookAhead(source, {}, None, 60.0).predict(estimates, frame)[POINT].futures["held"]
@@ -189,10 +188,10 @@ def test_an_error_of_the_heating_widens_the_bands_by_what_hotter_heating_does(so
     time_s = np.arange(NOW_S, NOW_S + 60.125, 0.25)
     history = source.histories({n: np.full(len(time_s), v) for n, v in frame.values.items()} | {"time_s": time_s})[0]
     model, own = source.points[0].model, dict(zip(state.names, state.values.tolist(), strict=True))
-    more = history.copy()
-    more[:, H_REF] *= 1.05
-    model = model.with_parameters(own)
-    ends = [march(model, source, state.temperature_K, time_s, h)[0, -1] for h in (history, more)]
+    ends = [
+        march(model.with_parameters(own | {"ratio.d0": d}), source, state.temperature_K, time_s, history)[0, -1]
+        for d in (0.0, 0.05 * state.ratio)
+    ]
     assert added == pytest.approx(ends[1] - ends[0], rel=0.05)
 
 

@@ -109,7 +109,7 @@ class LookAhead:
     horizon_s : how far ahead [s]
     keep      : probability with which stopping a manoeuvre keeps the limits
     ratio_sigma : standard deviation in the long run of a ratio that wanders [-]
-    heating_error : relative error of the heating, one standard deviation [-]
+    heating_error : relative error of the heating ratio, one standard deviation [-]; in turbulent flow of the laminar part
     raises    : InputError for a horizon or probability out of range
     """
 
@@ -350,7 +350,7 @@ class AheadOfLink:
 class _RatioErrors:
     """Errors of the heating ratio from now on.
 
-    wander  : standard deviation in the long run of one that wanders [-];  heating : relative, of the heating itself [-]
+    wander  : standard deviation in the long run of one that wanders [-];  heating : relative, of the ratio itself [-]
     """
 
     wander: float
