@@ -395,3 +395,25 @@ def test_a_study_that_asks_for_something_impossible_is_refused_in_one_line(
     assert any(message in line for line in errors)
     assert all(str(tmp_path / "study.toml") in line for line in errors)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.thorough
+def test_with_bands_a_margin_has_the_sigma_of_all_that_is_uncertain(tmp_path: Path) -> None:
+    """Tables, wall and the error of the heating in squares: against the sigma of the tables alone."""
+    study = (ROOT / "scenarios" / "studies" / "small_envelope.toml").read_text().partition("[[envelope.boundary]]")[0]
+    planned = {}
+    for name, bands in (("tables", "false"), ("all", "true")):
+        text = study.replace("refinements = 1", f"sigmas = 1.96\nbands = {bands}").replace(
+            "[-12.0, -8.0, -4.0, 0.0]", "[-8.0]"
+        )
+        (tmp_path / f"{name}.toml").write_text(text)
+        assert main(["plan", str(tmp_path / f"{name}.toml"), "--workers", "1", "--out", str(tmp_path / name)]) == 0
+        planned[name] = read_json(tmp_path / name / "study.json")["envelope"]["maps"]["alpha"]["flights"][0]
+    alone, every = planned["tables"], planned["all"]
+    assert "margins_at_band_K" not in alone
+    for limit, sigma in alone["sigma_K"].items():
+        assert every["sigma_K"][limit] > sigma
+        expected = every["margins_K"][limit] - 1.959964 * every["sigma_K"][limit]
+        assert every["margins_at_band_K"][limit] == pytest.approx(expected)
+    assert every["margins_K"] == alone["margins_K"]
+    assert "surface_margin_at_band_K" in (tmp_path / "all" / "envelope" / "map_alpha.csv").read_text()

@@ -109,7 +109,8 @@ class LookAhead:
     horizon_s : how far ahead [s]
     keep      : probability with which stopping a manoeuvre keeps the limits
     ratio_sigma : standard deviation in the long run of a ratio that wanders [-]
-    heating_error : relative error of the heating ratio, one standard deviation [-]; in turbulent flow of the laminar part
+    heating_error : relative error of the heating ratio, one standard deviation [-]; of its laminar part alone in
+                turbulent flow
     raises    : InputError for a horizon or probability out of range
     """
 
