@@ -51,7 +51,8 @@ _SHOWN = {
     "tests/live/test_jsbsim_link.py": "JSBSimInput.port JSBSimInput.prefix OutputSettings.jsbsim LinkFile.output",
     "tests/live/test_outputs.py": "JSBSimInput.host OutputSettings.host OutputSettings.metrics OutputSettings.page "
     "OutputSettings.port OutputSettings.lines",
-    "tests/live/test_ahead.py": "AheadSettings.every_s AheadSettings.keep AheadSettings.scenario LinkFile.ahead",
+    "tests/live/test_ahead.py": "AheadSettings.every_s AheadSettings.keep AheadSettings.scenario LinkFile.ahead "
+    "AheadSettings.heating_error",
     "tests/live/test_engine.py": "OutputSettings.rate_Hz",
     "tests/live/test_live_command.py": "EstimateSettings.jump_s",
     "tests/live/test_journal.py": "JournalSettings.fsync_s LinkFile.journal",
