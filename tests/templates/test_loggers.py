@@ -640,6 +640,7 @@ def test_what_was_read_before_stays_readable() -> None:
     assert span_s(found) == 4.0
 
 
+@pytest.mark.thorough
 def test_a_file_of_18611_rows_is_read_in_a_moment() -> None:
     """Each reading is converted once, however often it is asked for."""
     t = 0.05 * np.arange(18611)
