@@ -37,7 +37,7 @@ from sim_heating.templates.loggers.clocks import (
     over_midnight,
     with_colons,
 )
-from sim_heating.templates.loggers.files import kind_of_file, read_table
+from sim_heating.templates.loggers.files import json_block, kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
 from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
 from sim_heating.templates.loggers.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
@@ -52,7 +52,11 @@ SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
     (TIME, r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum)([^a-z]|$)|^t$|^x_value$"),
-    (TIME, r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sek.*)([^a-z].*)?$"),
+    (
+        TIME,
+        r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sek.*"
+        r"|tiempo|tempo|tijd)([^a-z].*)?$",
+    ),
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
     (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
@@ -249,7 +253,7 @@ def read_measured_csv(
                         for c in columns if c.name != clock.name)]  # fmt: skip
     by_name = {h.name: h for h in heads}
     columns = [_with_unit(block, c, by_name[c.name], chosen, base) if c.kind in kinds else c for c in columns]
-    columns = _guessed(block, columns, kinds)
+    columns = _guessed(block, _without_counters(columns), kinds)
     emfs = {h.name for h in heads if h.emf}  # without lost codes already; a time made of a period is no column
     lost = {c.name: () if c.name in emfs else chosen.lost for c in columns}
     columns = [_without_lost(block, c, lost[c.name]) if c.kind in kinds else c for c in columns]
@@ -272,6 +276,8 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
     kind = kind_of_file(path)
     if not kind:
         text = decoded(path)
+        if text.lstrip().startswith("{"):
+            return json_block(path, text)
         return lvm_block(path, text, chosen.sheet) if is_lvm(text) else text_block(path, text, chosen.separator)
     table = read_table(path, kind, chosen.sheet)
     if isinstance(table, Block):
@@ -498,7 +504,8 @@ def _column(head: _Head) -> CsvColumn:
         return CsvColumn(name, UNUSED, "", values, "an uncertainty, by its name" + note)
     if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
         return CsvColumn(name, UNUSED, "", values, "a counter, by its name" + note)
-    if by_unit is not None and not (by_unit == TIME and by_name == TEMPERATURE):
+    may_be_a_minimum = by_unit == TIME and by_name == TEMPERATURE and unit.strip().lower() == "min"
+    if by_unit is not None and not may_be_a_minimum:
         return CsvColumn(name, by_unit, unit, values, (head.emf or f"unit {unit}") + note)
     if by_name == UNUSED:
         return CsvColumn(name, UNUSED, "", values, "name and unit say nothing" + note)
@@ -736,10 +743,12 @@ def _number_time(
     finite = np.flatnonzero(np.isfinite(values))
     first = float(values[finite[0]])
     unix = time_unit != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
-    if (time_unit == "day" and not stated and chosen.time_unit is None) or unix:
+    of_calendar = time_unit == "day" and first >= DAY_NUMBERS[0]  # those of Julian and of MATLAB are larger
+    if of_calendar or unix:
         # whole digits first: seconds since 1970 leave few behind the point
         t = np.round((values - first) * scale.factor, 6)
-        zero = scale(first) if unix else (first - 25569.0) * 86400.0
+        of_spreadsheet = of_calendar and first <= DAY_NUMBERS[1]
+        zero = scale(first) if unix else (first - 25569.0) * 86400.0 if of_spreadsheet else None
         column = replace(column, values=t, unit="s", reason=f"{reason}, counted from the first", guess=guess)
         return column, zero, []
     low, high, rule = LIMITS["time_s"]
@@ -931,6 +940,19 @@ def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayou
             f"{state} or name the columns that are read, --temperature COLUMN"
         )
     return column
+
+
+def _without_counters(columns: list[CsvColumn]) -> list[CsvColumn]:
+    """Columns without those that count the rows, such as `TC run` with 1, 2, 3, beside a temperature that states its
+    unit."""
+    if not any(c.kind == TEMPERATURE and c.unit for c in columns):
+        return columns
+    return [
+        replace(c, kind=UNUSED, reason="it counts the rows")
+        if c.kind == TEMPERATURE and not c.unit and len(c.values) > 2 and np.all(np.diff(c.values) == 1.0)
+        else c
+        for c in columns
+    ]
 
 
 def _guessed(block: Block, columns: list[CsvColumn], kinds: Sequence[str]) -> list[CsvColumn]:
