@@ -71,6 +71,10 @@ NO_READING = r"(?i)alarm|status|flag|valid|quality|batt|volt|humid|^rh|counter"
 """Pattern of the names of columns that accompany readings."""
 UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigma|uncertainty|stdev|std)$"
 """Pattern of the names of columns that hold the uncertainty of others."""
+DIFFERENCE = r"(?i)(^|[^a-z])(delta|diff(erence)?|rise|change)([^a-z]|$)|[Δ∆]|^d[Tt]([^a-z].*)?$"
+"""Pattern of the names of columns that hold differences of temperatures, which have no zero."""
+FACTOR = r"(?i)(.*?) ?([x*\u00d7] ?10+)"
+"""Pattern of a name that ends in the factor of its numbers, which is a part of its unit."""
 REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|avg|smp|min|max|last|ave\.?"
 """What stands in brackets and is no unit: time zones, layouts of clocks, how samples were reduced."""
 RAW = r"(?i)(.+?)[_ ]((?:[muµ]v|volts?|[mk]?ohms?|ma|counts?|cts|raw|adc|bits?|deg))"
@@ -412,6 +416,8 @@ def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
             name, unit_in_name = head, ""  # T_s is a surface, and no time
         if not unit_in_name and (raw := re.fullmatch(RAW, name)):
             name, unit_in_name = raw[1], raw[2]
+        if factor := re.fullmatch(FACTOR, name):
+            name, unit_in_name = factor[1], f"{unit_in_name} {factor[2]}".strip()
         names.append(name if name not in names else f"{name} {k + 1}")
         stated.append(unit.strip("-") or unit_in_name)
     return names, stated
@@ -500,8 +506,9 @@ def _column(head: _Head) -> CsvColumn:
     lost = len(values) - int(np.count_nonzero(np.isfinite(values)))
     texts = sorted(head.numbers.texts)[:2]
     note = f"; {lost} lost samples{' (' + ', '.join(texts) + ')' if texts else ''}" if lost else ""
-    if re.search(UNCERTAIN, name):
-        return CsvColumn(name, UNUSED, "", values, "an uncertainty, by its name" + note)
+    for pattern, meaning in ((UNCERTAIN, "an uncertainty"), (DIFFERENCE, "a difference")):
+        if re.search(pattern, name):
+            return CsvColumn(name, UNUSED, "", values, f"{meaning}, by its name{note}")
     if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
         return CsvColumn(name, UNUSED, "", values, "a counter, by its name" + note)
     may_be_a_minimum = by_unit == TIME and by_name == TEMPERATURE and unit.strip().lower() == "min"
@@ -824,11 +831,26 @@ def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
         raise InputError(f"{block.at(i, head.name)}: {rule}")
 
 
+def _with_the_newest_last(measured: MeasuredCsv) -> MeasuredCsv:
+    """A file that begins with its newest row as one in the order of time, with a note; another one as it is."""
+    clock = measured.of_kind(TIME)[0]
+    if len(clock.values) < 3 or not np.all(np.diff(clock.values) < 0.0):
+        return measured
+    counted_s = float(clock.values[-1]) if "counted from the first" in clock.reason else 0.0
+    columns = tuple(
+        replace(c, values=c.values[::-1] - counted_s if c is clock else c.values[::-1]) for c in measured.columns
+    )
+    zero_s = None if measured.zero_s is None else measured.zero_s + counted_s
+    notes = (*measured.notes, "the rows run back in time: read from the last")
+    return replace(measured, columns=columns, rows=measured.rows[::-1], zero_s=zero_s, notes=notes)
+
+
 def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> MeasuredCsv:
     """A file whose times increase; rows of one time as the option states.
 
     raises : InputError with the first row of the file that does not come later, and the options that help
     """
+    measured = _with_the_newest_last(measured)
     clock = measured.of_kind(TIME)[0]
     t = clock.si
     steps = np.diff(t)

@@ -704,3 +704,27 @@ def test_a_row_of_json_lines_that_is_no_object_is_named() -> None:
     Path("t.jsonl").write_text('{"time_s": 0, "TC1_K": 293}\n[1, 2]\n')
     with pytest.raises(InputError, match=r"^t.jsonl, row 2: no JSON object"):
         read_measured_csv(Path("t.jsonl"))
+
+
+def test_rows_from_the_newest_to_the_first_are_read_from_the_last() -> None:
+    rows = rows_of(lambda i, T: f"2024-05-13 10:45:{2 * i:02d},{T:.2f}").splitlines()
+    Path("t.csv").write_text("Date,TC1 (C)\n" + "\n".join(reversed(rows)))
+    measured = read_measured_csv(Path("t.csv"))
+    np.testing.assert_allclose(measured.of_kind(TEMPERATURE)[0].si, CHANNEL_K, atol=0.006)
+    np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
+    assert measured.zero_s == datetime(2024, 5, 13, 10, 45, tzinfo=UTC).timestamp()
+    assert measured.line(0).endswith("row 13")
+    assert "the rows run back in time: read from the last" in measured.notes
+
+
+def test_a_difference_of_temperatures_is_no_temperature() -> None:
+    rows = rows_of(lambda i, T: f"{2 * i},{T:.2f},{T - 20.0:.2f},{T - 20.0:.2f}")
+    Path("t.csv").write_text("Time (s),TC1 (C),TC1 rise (C),Delta T (K)\n" + rows)
+    assert [c.name for c in read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)] == ["TC1"]
+
+
+@pytest.mark.parametrize("name", ["TC1 (C) x10", "TC1 C*10", "TC1 [degC] \u00d7 10"])
+def test_a_factor_beside_a_unit_is_not_left_out(name: str) -> None:
+    Path("t.csv").write_text(f"Time (s),{name}\n" + rows_of(lambda i, T: f"{2 * i},{10 * T:.0f}"))
+    with pytest.raises(InputError, match=r"column TC1.*[x*\u00d7] ?10"):
+        read_measured_csv(Path("t.csv"))
