@@ -42,7 +42,7 @@ from sim_heating.campaign.ageing import next_flight_settings
 from sim_heating.campaign.carried import Carried, agreed, mean_estimates, read_carried
 from sim_heating.campaign.flights import CampaignFlight, flights_of_records, record_directories, with_seed
 from sim_heating.campaign.joint import Group, agreement, groups_of
-from sim_heating.campaign.manoeuvre_fits import FitTask, FittedSpan, fit_job, fitted_span, run_fit, usable  # fmt: skip
+from sim_heating.campaign.manoeuvre_fits import FitTask, FittedSpan, fit_job, fitted_span, run_fit, usable
 from sim_heating.campaign.report import FILES, NEXT_FLIGHT, PAGE, SUMMARY, write_campaign_page, write_csvs
 from sim_heating.campaign.result import CampaignResult
 from sim_heating.campaign.spec import Campaign, FlightInput, ManoeuvreSettings, load_campaign
@@ -86,9 +86,14 @@ class Engine:
         """Run the jobs of a stage that are not finished yet."""
         try:
             return run_batches(
-                jobs, work, self.out / LEDGER / stage, scheduler=self.scheduler, workers=self.workers,
-                is_current=is_current, progress=progress,
-            )  # fmt: skip
+                jobs,
+                work,
+                self.out / LEDGER / stage,
+                scheduler=self.scheduler,
+                workers=self.workers,
+                is_current=is_current,
+                progress=progress,
+            )
         except KeyboardInterrupt:  # processes that were ended leave what they had begun to write
             settle_below(self.out)
             raise
@@ -227,9 +232,13 @@ def _close(result: CampaignResult, engine: Engine, progress: Progress) -> list[d
     for flight in result.fitted_flights:
         paths = [record.directory for record in flight.records.values()]
         closed = close_all(
-            paths, engine.out / CLOSED / flight.name, root=result.campaign.root, scheduler=engine.scheduler,
-            workers=engine.workers, progress=_of_flight(progress, flight, result),
-        )  # fmt: skip
+            paths,
+            engine.out / CLOSED / flight.name,
+            root=result.campaign.root,
+            scheduler=engine.scheduler,
+            workers=engine.workers,
+            progress=_of_flight(progress, flight, result),
+        )
         rows += [
             {**row, "flight": flight.name, "control_point": p} for row, p in zip(closed, flight.records, strict=True)
         ]

@@ -56,7 +56,7 @@ HEADS = (
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
     (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
-)  # fmt: skip
+)
 """Patterns of the names of columns, without their units; the first that fits holds."""
 COUNTER = (
     r"(?i)^(#|no\.?|nr\.?|n|num(ber)?|scan|sweep|record|rec|rn|index|idx|sample|row|line|count(er)?|point|id|messung|"
@@ -256,10 +256,15 @@ def read_measured_csv(
     columns, rows, row_notes = _rows_kept(block, columns, kept, kinds)
     named = f"names in line {block.names_line}" if block.has_names else "no names"
     measured = MeasuredCsv(
-        path, tuple(columns), rows, f"{block.about}, {signs.words}, {named}, {len(rows)} rows", zero_s,
+        path,
+        tuple(columns),
+        rows,
+        f"{block.about}, {signs.words}, {named}, {len(rows)} rows",
+        zero_s,
         "" if "counted from" not in clock.reason else "midnight" if clock.reason.startswith("clock") else "1970",
-        _stated(chosen, block, signs, columns, heads), (*block.notes, *notes, *row_notes),
-    )  # fmt: skip
+        _stated(chosen, block, signs, columns, heads),
+        (*block.notes, *notes, *row_notes),
+    )
     measured = _with_distinct_times(measured, chosen.repeated)
     _warn_of_guesses(measured, kinds)
     if TEMPERATURE in kinds:
@@ -329,11 +334,13 @@ def _long_as_wide(block: Block) -> Block:
     names = [f"{s} [{unit}]" if unit else s for s in sensors] if kind or unit else sensors
     first = {stamp: i for i, stamp in reversed(list(enumerate(stamps)))}
     return replace(
-        block, names=(*(block.names[k] for k in times), *names),
+        block,
+        names=(*(block.names[k] for k in times), *names),
         units=(*(block.units[k] for k in times), *(block.units[value] for _ in sensors)),
         cells=tuple(list(c) for c in zip(*by_row, strict=True)),
-        lines=tuple(block.lines[first[stamp]] for stamp in readings), about=f"{block.about}, one row a sensor",
-    )  # fmt: skip
+        lines=tuple(block.lines[first[stamp]] for stamp in readings),
+        about=f"{block.about}, one row a sensor",
+    )
 
 
 def _columns_of_a_long_table(block: Block) -> tuple[list[int], int, int] | None:
@@ -345,9 +352,10 @@ def _columns_of_a_long_table(block: Block) -> tuple[list[int], int, int] | None:
     is_time = [re.search(HEADS[0][1], name) is not None for name in block.names]
     labels = [k for k in texts if _may_name_sensors(block, k)]
     numbers = [
-        k for k, name in enumerate(block.names)
+        k
+        for k, name in enumerate(block.names)
         if has_number[k] and not has_clock[k] and not is_time[k] and not re.fullmatch(COUNTER, name)
-    ]  # fmt: skip
+    ]
     times = [k for k, named in enumerate(is_time) if named and k not in texts]
     return (times, labels[0], numbers[0]) if len(labels) == len(numbers) == 1 and times else None
 

@@ -42,9 +42,7 @@ TOUCHDOWN_RATE_M_S = 1.0
 FLARE_GAIN = 4.0
 """Frequency of the flare over that of the approach: the altitude rate follows within 2 s."""
 
-(
-    TIME, ALTITUDE, SPEED, MACH, CLIMB, DRAG, LIFT, NET_GRAVITY, QBAR, ALPHA_NOW, HEADING, LATITUDE, LONGITUDE,
-) = range(13)  # fmt: skip
+(TIME, ALTITUDE, SPEED, MACH, CLIMB, DRAG, LIFT, NET_GRAVITY, QBAR, ALPHA_NOW, HEADING, LATITUDE, LONGITUDE) = range(13)
 OBSERVED = 13
 
 (
