@@ -44,15 +44,18 @@ def fits_table(result: CampaignResult) -> Table:
         Column("RMSE", "rmse_K", ".2f", "K"),
         Column("noise floor", "noise_floor_K", ".2f", "K"),
     ]
+    fitted = [r for r in (*result.fits, *result.joint) if "failed" not in r]
     rows = [
-        [r["control_point"], r["group"], " ".join(r["flights"]), n, p["value"], p["sigma"], p["unit"], r["rmse_K"],
-         r["noise_floor_K"]]
-        for r in (*result.fits, *result.joint)
-        if "failed" not in r
+        [r["control_point"], r["group"], " ".join(r["flights"]), n, *_cells(p), r["rmse_K"], r["noise_floor_K"]]
+        for r in fitted
         for n, p in r["parameters"].items()
         if not n.startswith("initial.")
-    ]  # fmt: skip
+    ]
     return Table("Fits", columns, rows, sortable=len(rows) > SORTABLE, choices=["control point", "parameter"])
+
+
+def _cells(parameter: Mapping[str, Any]) -> list[Any]:
+    return [parameter["value"], parameter["sigma"], parameter["unit"]]
 
 
 def errors_table(result: CampaignResult) -> Table:
@@ -213,13 +216,13 @@ def _bound(row: Mapping[str, Any], name: str) -> str:
 def _other_parameters(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Estimates that are neither of the ratio nor of the start."""
     cells = [
-        [r["group"], _who(r), n, p["value"], p["sigma"], p["unit"]]
+        [r["group"], _who(r), n, *_cells(p)]
         for r in rows
         for n, p in r["parameters"].items()
         if not n.startswith(("ratio.", "initial."))
     ]
-    columns = [Column("manoeuvre"), Column("flights", is_text=True), Column("parameter", is_text=True),
-               Column("value", format=".4g"), Column("sigma", format=".2g"), Column("unit", is_text=True)]  # fmt: skip
+    numbers = [Column("value", format=".4g"), Column("sigma", format=".2g"), Column("unit", is_text=True)]
+    columns = [Column("manoeuvre"), Column("flights", is_text=True), Column("parameter", is_text=True), *numbers]
     return [Table("Effects and thermal parameters", columns, cells)] if cells else []
 
 
@@ -345,11 +348,11 @@ def _tables_section(result: CampaignResult) -> list[Section]:
         Column("chi-square", format=".1f"),
         Column("degrees of freedom"),
     ]
+    before, after = ("control_point", "revision", "manoeuvre"), ("chi_square", "degrees_of_freedom")
     cells = [
-        [u["control_point"], u["revision"], u["manoeuvre"], len(u["flights"]), ", ".join(u["parameters"]),
-         u["chi_square"], u["degrees_of_freedom"]]
+        [*(u[k] for k in before), len(u["flights"]), ", ".join(u["parameters"]), *(u[k] for k in after)]
         for u in result.updates
-    ]  # fmt: skip
+    ]
     text = (
         "Each revision takes all evidence before it into account, so that their order does not matter. The chi-square "
         "is that of all evidence so far against the sigma that the table stated before any of it."

@@ -293,14 +293,22 @@ def _fit_singles(
             reference = dict(zip(RATIO_VARIABLES, map(float, condition), strict=True))
             for f, m, span in chosen:
                 settings = result.campaign.settings(f.name, point, m)
-                added = carried.get((f.name, point), Carried())
-                out = engine.out / FITS / f.name / point / m.name
+                record, known = f.records[point], carried.get((f.name, point), Carried()).estimates
                 task = FitTask(
-                    point, m.name, group.name, (f.name,), (str(f.records[point].directory),),
-                    ((span.begin_s, span.end_s),), str(out), (span.start,), _as_data(settings), reference,
-                    added.estimates, result.campaign.root,
-                )  # fmt: skip
-                tasks.append((task, [f.records[point]]))
+                    point,
+                    m.name,
+                    group.name,
+                    flights=(f.name,),
+                    records=(str(record.directory),),
+                    segments=((span.begin_s, span.end_s),),
+                    out=str(engine.out / FITS / f.name / point / m.name),
+                    starts=(span.start,),
+                    settings=_as_data(settings),
+                    reference=reference,
+                    carried=known,
+                    root=result.campaign.root,
+                )
+                tasks.append((task, [record]))
     result.fits.extend(_run_fits("fits", tasks, engine, progress))
 
 
@@ -340,11 +348,19 @@ def _joint_task(
         result.omitted.append(f"{point}, {group.name}: not fitted jointly, since {', '.join(ageing)} changes")
         return None
     task = FitTask(
-        point, group.name, group.name, names, tuple(str(r.directory) for r in records),
-        tuple((s[0], s[1]) for r in good for s in r["segments"]), str(engine.out / JOINT / point / group.name),
-        tuple(s for r in good for s in r["starts"]), _as_data(settings),
-        good[0]["reference_condition"], common, result.campaign.root,
-    )  # fmt: skip
+        point,
+        group.name,
+        group.name,
+        flights=names,
+        records=tuple(str(r.directory) for r in records),
+        segments=tuple((s[0], s[1]) for r in good for s in r["segments"]),
+        out=str(engine.out / JOINT / point / group.name),
+        starts=tuple(s for r in good for s in r["starts"]),
+        settings=_as_data(settings),
+        reference=good[0]["reference_condition"],
+        carried=common,
+        root=result.campaign.root,
+    )
     return task, records
 
 

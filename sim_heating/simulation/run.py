@@ -430,8 +430,9 @@ def files_of(scenario: Scenario) -> list[str]:
     folders = [""] if len(scenario.names) == 1 else [f"{name}/" for name in scenario.names]
     declared = scenario.declared.trajectory.manoeuvre
     manoeuvres = {_picture_of(i, m.kind) for i in range(1, len(declared) + 1) for m in declared}
-    return [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, HEAT, COMPARED, PAGE,
-            *(f"{folder}{name}" for folder in folders for name in OF_POINT), *sorted(manoeuvres)]  # fmt: skip
+    of_points = [f"{folder}{name}" for folder in folders for name in OF_POINT]
+    of_run = [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, HEAT, COMPARED, PAGE]
+    return [*of_run, *of_points, *sorted(manoeuvres)]
 
 
 def _picture_of(number: int, kind: str) -> str:

@@ -220,18 +220,22 @@ def read_measured_csv(
     raises    : InputError, one line, where the file cannot be read so, with the option that helps
     """
     base = layout or LoggerLayout()
-    chosen = base.model_copy(
-        update={
-            key: value
-            for key, value in {
-                "time": time, "time_unit": time_unit, "temperature_unit": temperature_unit, "flux_unit": flux_unit,
-                "thermocouple": thermocouple, "reference_junction": reference_junction, "period_s": period_s,
-                "separator": separator, "decimal": decimal, "dates": dates, "repeated": repeated,
-                "sheet": sheet, "lost": [*base.lost, *lost],
-            }.items()
-            if value is not None
-        }
-    )  # fmt: skip
+    stated = {
+        "time": time,
+        "time_unit": time_unit,
+        "temperature_unit": temperature_unit,
+        "flux_unit": flux_unit,
+        "thermocouple": thermocouple,
+        "reference_junction": reference_junction,
+        "period_s": period_s,
+        "separator": separator,
+        "decimal": decimal,
+        "dates": dates,
+        "repeated": repeated,
+        "sheet": sheet,
+        "lost": [*base.lost, *lost],
+    }
+    chosen = base.model_copy(update={key: value for key, value in stated.items() if value is not None})
     if chosen.time_unit is not None and chosen.time_unit not in CLOCKS and converted(chosen.time_unit, "s") is None:
         units = ", ".join((*DURATIONS, *CLOCKS))
         raise InputError(f"--time-unit {chosen.time_unit}: is not a unit of time; give one of {units}")
@@ -245,8 +249,9 @@ def read_measured_csv(
     columns = _as_chosen(path, columns, chosen.time, temperatures, flux)
     clock, zero_s, notes = _time(block, heads, columns, chosen)
     kept = np.flatnonzero(~np.isnan(clock.si))
-    columns = [clock, *(replace(c, kind=UNUSED, reason="another column is the time") if c.kind == TIME else c
-                        for c in columns if c.name != clock.name)]  # fmt: skip
+    others = [c for c in columns if c.name != clock.name]
+    unused = {"kind": UNUSED, "reason": "another column is the time"}
+    columns = [clock, *(replace(c, **unused) if c.kind == TIME else c for c in others)]
     by_name = {h.name: h for h in heads}
     columns = [_with_unit(block, c, by_name[c.name], chosen, base) if c.kind in kinds else c for c in columns]
     columns = _guessed(block, columns, kinds)

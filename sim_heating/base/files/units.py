@@ -37,10 +37,8 @@ WORDS = {
     "sek": "s", "sekunden": "s", "minuten": "min", "stunden": "h",
 }  # fmt: skip
 """Words in small letters -> the name that pint knows, whatever the letters are in the file."""
-LETTERS = {
-    "C": "degC", "c": "degC", "F": "degF", "f": "degF", "R": "degR", "k": "K", "S": "s", "mil": "thou", '"': "inch",
-    "\u2103": "degC", "\u2109": "degF",
-}  # fmt: skip
+SIGNS = {"k": "K", "S": "s", "mil": "thou", '"': "inch", "\u2103": "degC", "\u2109": "degF"}
+LETTERS = {"C": "degC", "c": "degC", "F": "degF", "f": "degF", "R": "degR", **SIGNS}
 """Short names that pint takes for another unit, a charge, a capacity, a gas constant or an angle, or does not know."""
 DEGREES = re.compile(
     r"(?i)(?:deg(?:s|ree|rees)?\.?|grad|\u00c2?\u00b0|[\u00ba\u02da\ufffd]|(?<![\w)*])[*?])[ _]*"

@@ -210,11 +210,11 @@ def residuals_figure(joint: JointClosure) -> Figure:
         record = closure.record
         judged = record.fit_mask() | record.holdout_mask()
         curves = _curves(joint, closure, after)
+        style = {"linestyle": "none", "marker": ".", "markersize": 2.5, "rasterized": True}
         for prediction, color, label in curves:
             for k, i in enumerate(i for i, s in enumerate(record.sensors) if s.used):
-                legend = label if k == 0 else None
-                a.plot(record.time_s[judged], prediction.residual_K[i][judged], ".", color=color, markersize=2.5,
-                       label=legend, rasterized=True)  # fmt: skip
+                residual_K, legend = prediction.residual_K[i], label if k == 0 else None
+                a.plot(record.time_s[judged], residual_K[judged], color=color, label=legend, **style)
         a.axhline(0.0, color="0.3", linewidth=0.8)
         a.set_ylabel(f"{record.name}\nresidual, K")
         shade_holdout(a, record)
