@@ -178,10 +178,6 @@ class _Head:
     cells: list[str]
     emf: str = ""
 
-    @property
-    def has_clock_cells(self) -> bool:
-        return any(is_clock(c) for c in self.cells[:50])
-
 
 def read_measured_csv(
     path: Path,

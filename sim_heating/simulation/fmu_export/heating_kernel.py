@@ -114,7 +114,6 @@ N_MODEL = 40
 LONGEST_STEP = 0
 """Place in the options: longest thermal step [s]."""
 F_Q_ADD, F_AROUND, F_H_REF, F_H_R = (len(FRAME) + k for k in range(4))
-FRAME_WIDTH = len(FRAME) + 4
 HOST_WIDTH = 16
 
 # A point's integers: its group, first lane, number of lanes, number of elements, place of their layers in N, places of
