@@ -189,7 +189,7 @@ class LiveEstimator:
             self._follow_back(ended)
             return
         for point, sensor in self.clocks.take_failed(ended):
-            self._change_use(point, sensor, ended.first_s, True)
+            self.leave_out(point, sensor, ended.first_s)
             if self.stepper.has_passed(ended.first_s):
                 self.stepper.refilter_since(ended.first_s)
 

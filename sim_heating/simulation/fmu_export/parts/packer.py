@@ -68,8 +68,11 @@ class ImagePacker:
         parameters: tuple[str, ...] = (),
     ) -> None:
         """Add a variable for a number at an offset of R."""
-        numbers, uses = (lower, upper, nominal), {"depends": depends, "parameters": parameters}
-        self.image.variables.append(Variable(name, Kind.NUMBER, role, offset, text, unit, *numbers, **uses))
+        limits = (lower, upper, nominal)
+        variable = Variable(
+            name, Kind.NUMBER, role, offset, text, unit, *limits, depends=depends, parameters=parameters
+        )
+        self.image.variables.append(variable)
 
     def add_array(
         self,
