@@ -214,11 +214,9 @@ def rows_block(
         width -= 1
     names, units, names_line = _head(file, split, first, width, recorder, lines)
     sign_text = SEPARATORS.get(sign, f"`{sign}`") if sign else ""
-    remarks = [recorder, f"cells separated by {sign_text}" if sign_text else ""]
-    return Block(
-        path, tuple(names), tuple(units), tuple(columns), tuple(line for line, _ in body), sign, "", names_line,
-        ", ".join(filter(None, remarks)), tuple(notes),
-    )  # fmt: skip
+    about = ", ".join(filter(None, [recorder, f"cells separated by {sign_text}" if sign_text else ""]))
+    table = (tuple(names), tuple(units), tuple(columns), tuple(line for line, _ in body))
+    return Block(path, *table, sign, "", names_line, about, tuple(notes))
 
 
 def _body(file: str, split: Sequence[Row], first: int, last: int) -> tuple[list[Row], list[str]]:
