@@ -311,7 +311,7 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
     kind = kind_of_file(path)
     if not kind:
         text = decoded(path)
-        if text.lstrip().startswith("{"):
+        if re.match(r"\s*(\{|\[\s*\{)", text):
             return json_block(path, text)
         return lvm_block(path, text, chosen.sheet) if is_lvm(text) else text_block(path, text, chosen.separator)
     table = read_table(path, kind, chosen.sheet)
@@ -438,8 +438,24 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
         cells = block.column(k)
         may_be_clock = k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))
         clock = _clock_of_column(block, k, names, unit, chosen) if may_be_clock else None
-        heads.append(_Head(name, unit, numbers_of(cells, signs), clock, cells))
+        head = _Head(name, unit, numbers_of(cells, signs), clock, cells)
+        _require_one_unit(block, head)
+        heads.append(head)
     return heads, signs
+
+
+def _require_one_unit(block: Block, head: _Head) -> None:
+    """Refuse a column whose name states another unit than its cells.
+
+    raises : InputError with the first such cell
+    """
+    named = {si: converted(head.stated, si) for si in SI_UNITS.values()}
+    if not head.numbers.unit or not any(named.values()):
+        return  # `Avg` is no unit
+    if named != {si: converted(head.numbers.unit, si) for si in SI_UNITS.values()}:
+        i = next(i for i, c in enumerate(head.cells) if c)
+        rule = f"has another unit than the name of the column, `{head.stated}`; write one unit"
+        raise InputError(f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` {rule}")
 
 
 def _names_and_units(block: Block) -> tuple[list[str], list[str]]:

@@ -82,8 +82,12 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
         raise InputError(
             f"{display_path(path)}: no rows of numbers were found; give a file with a time and temperatures"
         )
-    sign = separator or _separator(numbered)
-    return rows_block(path, split_lines(numbered, sign), sign, recorder=recorder, lines=dict(numbered))
+    try:
+        sign = separator or _separator(numbered)
+        rows = split_lines(numbered, sign)
+    except csv.Error as error:  # such as a cell of more than 131072 characters
+        raise InputError(f"{display_path(path)}: cannot be read as a table ({error}); give a file of numbers") from None
+    return rows_block(path, rows, sign, recorder=recorder, lines=dict(numbered))
 
 
 def _recorder(lines: Sequence[tuple[int, str]]) -> str:
