@@ -142,9 +142,10 @@ def _judged_numbers(
         return [((key, *below), text) for key, v in value.items() for below, text in judge(key, v)]
     if isinstance(declared, str):
         return judge(_meant(model, declared), value)
+    rows = value if declared is not None and isinstance(value, (list, tuple)) else ()
     return [
         ((i, j), text)
-        for i, row in enumerate(value if isinstance(value, (list, tuple)) else ())
+        for i, row in enumerate(rows)
         for j, (column, number) in enumerate(zip(declared or (), row, strict=False))
         if column is not None
         for _, text in judge(_meant(model, column), number)
