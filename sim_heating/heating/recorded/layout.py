@@ -148,7 +148,7 @@ def read_fields(path: Path, stated: Mapping[str, ConditionField | str] | None = 
             used[column], columns[column] = _one(path, column, with_unit, numbers)
         elif fields:
             fields_without_unit[column] = fields[0]
-    columns |= {column: np.full(len(lines), constant) for column, constant in _constants(declared).items()}
+    columns |= {column: np.full(len(lines), constant) for column, constant in declared_constants(declared).items()}
     matched = [f.name for fields in by_column.values() for f in fields]
     unused, empty = tuple(n for n in names if n not in matched), tuple(n for n in matched if n in blank)
     rows = np.array(lines, dtype=np.int64)
@@ -219,7 +219,7 @@ def _rows(path: Path, text: str) -> Rows:
     return names, units, columns, [i for i, _ in body], header
 
 
-def _constants(declared: Mapping[str, ConditionField | str]) -> dict[str, float]:
+def declared_constants(declared: Mapping[str, ConditionField | str]) -> dict[str, float]:
     """Columns that are declared to be one number."""
     fields = {column: value for column, value in declared.items() if isinstance(value, ConditionField)}
     return {column: field.constant for column, field in fields.items() if field.constant is not None}
