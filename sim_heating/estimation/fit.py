@@ -405,16 +405,23 @@ def _cleaned(records: Sequence[Record], progress: Progress) -> tuple[list[Record
     returns : the records, their outliers, and lines on what was left out and averaged
     """
     check_joint_records(records)
-    checked = [without_stuck_sensors(record) for record in records]
-    cleaned = [without_outliers(record) for record, _ in checked]
-    fewer = [averaged_record(record) for record, _ in cleaned]
-    outliers = [outlier for _, of_record in cleaned for outlier in of_record]
-    averaged = [line for _, lines in fewer for line in lines]
+    stuck: list[str] = []
+    outliers: list[Outlier] = []
+    averaged: list[str] = []
+    cleaned, fewer = [], []
+    for record in records:
+        used, lines = without_stuck_sensors(record)
+        stuck += lines
+        used, of_record = without_outliers(used)
+        outliers += of_record
+        cleaned.append(used)
+        used, lines = averaged_record(used)
+        averaged += lines
+        fewer.append(used)
     for line in averaged:
         progress(0.0, line)
-    stuck = [line for _, lines in checked for line in lines]
-    notes = [*averaged, *stuck, *outlier_lines(outliers, {record.name: record for record, _ in cleaned})]
-    return [record for record, _ in fewer], outliers, notes
+    notes = [*averaged, *stuck, *outlier_lines(outliers, {record.name: record for record in cleaned})]
+    return fewer, outliers, notes
 
 
 def _informed_problem(
