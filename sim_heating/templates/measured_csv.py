@@ -38,7 +38,7 @@ from sim_heating.templates.loggers.clocks import (
     over_midnight,
     with_colons,
 )
-from sim_heating.templates.loggers.files import kind_of_file, read_table
+from sim_heating.templates.loggers.files import json_block, kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
 from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
 from sim_heating.templates.loggers.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
@@ -53,7 +53,11 @@ SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
     (TIME, r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum)([^a-z]|$)|^t$|^x_value$"),
-    (TIME, r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sek.*)([^a-z].*)?$"),
+    (
+        TIME,
+        r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sek.*"
+        r"|tiempo|tempo|tijd)([^a-z].*)?$",
+    ),
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
     (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
@@ -68,6 +72,10 @@ NO_READING = r"(?i)alarm|status|flag|valid|quality|batt|volt|humid|^rh|counter"
 """Pattern of the names of columns that accompany readings."""
 UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigma|uncertainty|stdev|std)$"
 """Pattern of the names of columns that hold the uncertainty of others."""
+DIFFERENCE = r"(?i)(^|[^a-z])(delta|diff(erence)?|rise|change)([^a-z]|$)|[Δ∆]|^d[Tt]([^a-z].*)?$"
+"""Pattern of the names of columns that hold differences of temperatures, which have no zero."""
+FACTOR = r"(?i)(.*?) ?([x*\u00d7] ?10+)"
+"""Pattern of a name that ends in the factor of its numbers, which is a part of its unit."""
 REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|avg|smp|min|max|last|ave\.?"
 """What stands in brackets and is no unit: time zones, layouts of clocks, how samples were reduced."""
 RAW = r"(?i)(.+?)[_ ]((?:[muµ]v|volts?|[mk]?ohms?|ma|counts?|cts|raw|adc|bits?|deg))"
@@ -292,7 +300,7 @@ def _readings(
     """
     by_name = {h.name: h for h in heads}
     columns = [_with_unit(block, c, by_name[c.name], *layouts) if c.kind in kinds else c for c in columns]
-    columns = _guessed(block, columns, kinds)
+    columns = _guessed(block, _without_counters(columns), kinds)
     emfs = {h.name for h in heads if h.emf}  # without lost codes already; a time made of a period is no column
     lost = {c.name: () if c.name in emfs else layouts[0].lost for c in columns}
     return [_without_lost(block, c, lost[c.name]) if c.kind in kinds else c for c in columns]
@@ -303,6 +311,8 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
     kind = kind_of_file(path)
     if not kind:
         text = decoded(path)
+        if re.match(r"\s*(\{|\[\s*\{)", text):
+            return json_block(path, text)
         return lvm_block(path, text, chosen.sheet) if is_lvm(text) else text_block(path, text, chosen.separator)
     table = read_table(path, kind, chosen.sheet)
     if isinstance(table, Block):
@@ -428,8 +438,24 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
         cells = block.column(k)
         may_be_clock = k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))
         clock = _clock_of_column(block, k, names, unit, chosen) if may_be_clock else None
-        heads.append(_Head(name, unit, numbers_of(cells, signs), clock, cells))
+        head = _Head(name, unit, numbers_of(cells, signs), clock, cells)
+        _require_one_unit(block, head)
+        heads.append(head)
     return heads, signs
+
+
+def _require_one_unit(block: Block, head: _Head) -> None:
+    """Refuse a column whose name states another unit than its cells.
+
+    raises : InputError with the first such cell
+    """
+    named = {si: converted(head.stated, si) for si in SI_UNITS.values()}
+    if not head.numbers.unit or not any(named.values()):
+        return  # `Avg` is no unit
+    if named != {si: converted(head.numbers.unit, si) for si in SI_UNITS.values()}:
+        i = next(i for i, c in enumerate(head.cells) if c)
+        rule = f"has another unit than the name of the column, `{head.stated}`; write one unit"
+        raise InputError(f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` {rule}")
 
 
 def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
@@ -443,6 +469,8 @@ def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
             name, unit_in_name = head, ""  # T_s is a surface, and no time
         if not unit_in_name and (raw := re.fullmatch(RAW, name)):
             name, unit_in_name = raw[1], raw[2]
+        if factor := re.fullmatch(FACTOR, name):
+            name, unit_in_name = factor[1], f"{unit_in_name} {factor[2]}".strip()
         names.append(name if name not in names else f"{name} {k + 1}")
         stated.append(unit.strip("-") or unit_in_name)
     return names, stated
@@ -537,11 +565,13 @@ def _kind_of(head: _Head) -> tuple[str, str, str]:
     """Kind of a column, its unit where the kind follows from it, and why."""
     name, unit = head.name, head.unit
     by_unit, by_name = _kind_by_unit(unit), _kind_by_name(name)
-    if re.search(UNCERTAIN, name):
-        return UNUSED, "", "an uncertainty, by its name"
+    for pattern, meaning in ((UNCERTAIN, "an uncertainty"), (DIFFERENCE, "a difference")):
+        if re.search(pattern, name):
+            return UNUSED, "", f"{meaning}, by its name"
     if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
         return UNUSED, "", "a counter, by its name"
-    if by_unit != UNUSED and (by_unit, by_name) != (TIME, TEMPERATURE):
+    may_be_a_minimum = (by_unit, by_name) == (TIME, TEMPERATURE) and unit.strip().lower() == "min"
+    if by_unit != UNUSED and not may_be_a_minimum:
         return by_unit, unit, head.emf or f"unit {unit}"
     if by_name == UNUSED:
         return UNUSED, "", "name and unit say nothing"
@@ -794,10 +824,12 @@ def _number_time(
     finite = np.flatnonzero(np.isfinite(values))
     first = float(values[finite[0]])
     unix = time_unit != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
-    if (time_unit == "day" and not stated and chosen.time_unit is None) or unix:
+    of_calendar = time_unit == "day" and first >= DAY_NUMBERS[0]  # those of Julian and of MATLAB are larger
+    if of_calendar or unix:
         # whole digits first: seconds since 1970 leave few behind the point
         t = np.round((values - first) * scale.factor, 6)
-        zero = scale(first) if unix else (first - 25569.0) * 86400.0
+        of_spreadsheet = of_calendar and first <= DAY_NUMBERS[1]
+        zero = scale(first) if unix else (first - 25569.0) * 86400.0 if of_spreadsheet else None
         column = replace(column, values=t, unit="s", reason=f"{reason}, counted from the first", guess=guess)
         return column, zero, []
     low, high, rule = LIMITS["time_s"]
@@ -877,11 +909,26 @@ def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
         raise InputError(f"{block.at(i, head.name)}: {rule}")
 
 
+def _with_the_newest_last(measured: MeasuredCsv) -> MeasuredCsv:
+    """A file that begins with its newest row as one in the order of time, with a note; another one as it is."""
+    clock = measured.of_kind(TIME)[0]
+    if len(clock.values) < 3 or not np.all(np.diff(clock.values) < 0.0):
+        return measured
+    counted_s = float(clock.values[-1]) if "counted from the first" in clock.reason else 0.0
+    columns = tuple(
+        replace(c, values=c.values[::-1] - counted_s if c is clock else c.values[::-1]) for c in measured.columns
+    )
+    zero_s = None if measured.zero_s is None else measured.zero_s + counted_s
+    notes = (*measured.notes, "the rows run back in time: read from the last")
+    return replace(measured, columns=columns, rows=measured.rows[::-1], zero_s=zero_s, notes=notes)
+
+
 def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> MeasuredCsv:
     """A file whose times increase; rows of one time as the option states.
 
     raises : InputError with the first row of the file that does not come later, and the options that help
     """
+    measured = _with_the_newest_last(measured)
     clock = measured.of_kind(TIME)[0]
     t = clock.si
     steps = np.diff(t)
@@ -981,6 +1028,19 @@ def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayou
             f"known; state it, {state}, or name the columns that are read, --temperature COLUMN"
         )
     return column
+
+
+def _without_counters(columns: list[CsvColumn]) -> list[CsvColumn]:
+    """Columns without those that count the rows, such as `TC run` with 1, 2, 3, beside a temperature that states its
+    unit."""
+    if not any(c.kind == TEMPERATURE and c.unit for c in columns):
+        return columns
+    return [
+        replace(c, kind=UNUSED, reason="it counts the rows")
+        if c.kind == TEMPERATURE and not c.unit and len(c.values) > 2 and np.all(np.diff(c.values) == 1.0)
+        else c
+        for c in columns
+    ]
 
 
 def _with_stated_unit(path: Path, column: CsvColumn, unit: str, is_declared: bool) -> CsvColumn:

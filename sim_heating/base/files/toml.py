@@ -118,7 +118,7 @@ def _quantity_problems(model: Declared, name: str, value: Any) -> list[tuple[Loc
     if declared is None:
         return []
     problems = _judged_numbers(model, name, value, lambda key, v: _range_problems(quantity(key), v))
-    if problems or isinstance(declared, str) or declared[0] is None:
+    if problems or not isinstance(declared, tuple) or not isinstance(value, (list, tuple)) or declared[0] is None:
         return problems
     return _axis_problems(quantity(_meant(model, declared[0])), value)
 
@@ -140,13 +140,14 @@ def _judged_numbers(
     declared = model.quantities.get(name, name)
     if isinstance(value, Mapping):
         return [((key, *below), text) for key, v in value.items() for below, text in judge(key, v)]
+    if declared is None:
+        return []
     if isinstance(declared, str):
         return judge(_meant(model, declared), value)
-    rows = value if declared is not None and isinstance(value, (list, tuple)) else ()
     return [
         ((i, j), text)
-        for i, row in enumerate(rows)
-        for j, (column, number) in enumerate(zip(declared or (), row, strict=False))
+        for i, row in enumerate(value if isinstance(value, (list, tuple)) else ())
+        for j, (column, number) in enumerate(zip(declared, row, strict=False))
         if column is not None
         for _, text in judge(_meant(model, column), number)
     ]
