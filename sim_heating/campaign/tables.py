@@ -150,7 +150,7 @@ def _predict_all(result: CampaignResult, revised: Vehicle, progress: Progress) -
             continue
         chosen, fitted = record.with_fit([segment]), None if row is None or "failed" in row else row
         start = None if fitted is None else _start(result, fitted)
-        errors = {}
+        errors: dict[str, float | None] = {}
         for when, vehicle in {"before": result.campaign.vehicle, "after": revised}.items():
             errors[f"{when}_K"] = rmse_with_tables_K(chosen, vehicle)
             errors[f"{when}_from_start_K"] = None if start is None else rmse_with_tables_K(chosen, vehicle, start)

@@ -44,8 +44,7 @@ from sim_heating.heating.recorded.plausible import implied_length_m
 from sim_heating.heating.recorded.reading import implied_pressure, local_pressure, with_pressure
 from sim_heating.heating.surface_pressure import PressureModel
 from sim_heating.inputs.record import Record
-from sim_heating.live.filtering.points import LivePoint
-from sim_heating.live.spec import Link, SensorField
+from sim_heating.live.spec import Link, LinkPoint, SensorField
 from sim_heating.live.types import TIME, Frame, Message, Reading, Sample
 from sim_heating.thermal.stack import Sensor
 
@@ -606,7 +605,7 @@ def _words(link: Link, file: str) -> tuple[list[_Word], list[str]]:
     return list(by_sensor.values()), problems
 
 
-def _declared_sensor(link: Link, declared: SensorField, where: str) -> tuple[LivePoint, Sensor]:
+def _declared_sensor(link: Link, declared: SensorField, where: str) -> tuple[LinkPoint, Sensor]:
     """The sensor that a field is declared for, and its point.
 
     raises : InputError where there is none, or several points have one

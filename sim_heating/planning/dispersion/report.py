@@ -203,7 +203,8 @@ SURFACE, BONDLINE = "tab:red", "tab:blue"
 WIDTH = 0.38
 """Half width of a distribution in the picture."""
 BINS = 40
-HOLDS, FAILS = {"marker": "o", "color": "tab:green"}, {"marker": "X", "color": "tab:red"}
+HOLDS: dict[str, Any] = {"marker": "o", "color": "tab:green"}
+FAILS: dict[str, Any] = {"marker": "X", "color": "tab:red"}
 
 
 @replaced_if_undrawable
