@@ -722,14 +722,16 @@ def _time(
         read = _number_time if by_name[column.name].clock is None else _clock_time
         return read(block, by_name[column.name], column, chosen)
     first = columns[0]
-    if not called and not block.has_names and _says_nothing(first) and np.all(np.diff(first.values) > 0.0):
+    if not called and not block.has_names and _may_be_time(first):
         assumed = replace(first, kind=TIME, reason="no column is called time; this one increases")
         return _number_time(block, by_name[first.name], assumed, chosen)
     raise _no_time(block, by_name[called[0].name] if called else None)
 
 
-def _says_nothing(column: CsvColumn) -> bool:
-    return column.kind == UNUSED and column.reason.startswith("name and unit")
+def _may_be_time(column: CsvColumn) -> bool:
+    """Whether a column of which nothing is known increases from row to row."""
+    says_nothing = column.kind == UNUSED and column.reason.startswith("name and unit")
+    return says_nothing and bool(np.all(np.diff(column.values) > 0.0))
 
 
 def _no_time(block: Block, called: _Head | None) -> InputError:
