@@ -76,9 +76,9 @@ def closure_of(
     before, (residual, residual_after) = result.before, residuals
     estimated = estimates_of(fitted.problem, fitted.fit, fitted.bounds.sigma)
     not_effects = _not_effects(result)
-    faults = [fault for fault in [start_fault(result.record)] if fault is not None]
-    faults += [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
-    faults += [fault for fault in [magnitude_fault(fitted.problem, fitted.fit.values)] if fault is not None]
+    of_trajectory = [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
+    of_magnitude = magnitude_fault(fitted.problem, fitted.fit.values)
+    faults = [f for f in (start_fault(result.record), *of_trajectory, of_magnitude) if f is not None]
     return Closure(
         record=result.record,
         predicted=None if result.record.lacks_ratio else before.before[0],
@@ -93,9 +93,12 @@ def closure_of(
         residual_after=residual_after,
         evidence=residual_evidence(residual, ratio_at(before.after[0], residual.time_s)),
         statement=_statement(
-            result, fitted, [*_left_out(result), *not_effects],
+            result,
+            fitted,
+            [*_left_out(result), *not_effects],
             or_left_out(
-                lambda: tell_apart(result.none, result.conclusion.best, _rivals(result)), [],
+                lambda: tell_apart(result.none, result.conclusion.best, _rivals(result)),
+                [],
                 "what would tell causes apart",
             ),
             probability=probability_of(result),
@@ -110,12 +113,12 @@ def closure_of(
         false_alarm=false_alarm_statement() if is_exact(result.none.last) else "",
         warnings=[
             *notes,
-            *(line for line in fitted.warnings if line not in [*notes, *(f.message for f in faults)]),
+            *(line for line in fitted.warnings if line not in {*notes, *(f.message for f in faults)}),
             *_forms(result),
             *_residual_warning(result, residual_after),
         ],
         remarks=remarks(fitted),
-    )  # fmt: skip
+    )
 
 
 def is_exact(trial: TrialFit) -> bool:
@@ -413,9 +416,9 @@ def rmse_K(trial: TrialFit, problem: FitProblem) -> float:
         u = trial.problem.errors(trial.fit.values)[0]
     except RunError:
         return math.nan
-    residuals = np.concatenate([
-        0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) - s.mean_K for s in samples
-    ])  # fmt: skip
+    residuals = np.concatenate(
+        [0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) - s.mean_K for s in samples]
+    )
     if fit.model_error is not None and fit.error_root_K is not None:
         flight = fit.model_error.of_flight
         residuals -= fit.error_root_K[:, flight] @ u[flight]

@@ -280,12 +280,11 @@ class Estimate(Extensible):
         for key, entries in (("segments", self.segments), ("starts", self.starts)):
             if entries is not None and len(entries) != len(self.records):
                 problems.append(((key,), f"has {len(entries)} entries for {len(self.records)} records"))
-        for i, record in enumerate(self.segments or []):
-            problems += [
-                (("segments", i, j), f"{s} is not a segment; give [start_s, end_s] with start before end")
-                for j, s in enumerate(record)
-                if len(s) != 2 or s[0] > s[1]
-            ]
+        segments = {(i, j): s for i, record in enumerate(self.segments or []) for j, s in enumerate(record)}
+        for place, s in segments.items():
+            if len(s) != 2 or s[0] > s[1]:
+                rule = f"{s} is not a segment; give [start_s, end_s] with start before end"
+                problems.append((("segments", *place), rule))
         if problems:
             raise LocatedError(*problems)
         # a table update weighs the estimate by its covariance, which must not have a negative variance in any direction
@@ -412,8 +411,8 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
     """Write an estimate with its digest, atomically; it reads back equal. Empty optional keys are omitted."""
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
-    optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program", "provenance",
-                "fixed", "ties", "record_names", "remarks", "model_error", "finding")  # fmt: skip
+    of_records = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "record_names")
+    optional = (*of_records, "program", "provenance", "fixed", "ties", "remarks", "model_error", "finding")
     data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
     data = {k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}
     write_json(path, with_digest(with_provenance(data)))

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import CsvTable, display_path, read_text
 from sim_heating.base.files.csv_table import header_entry
 from sim_heating.base.files.text import and_more_rows, repeated_name
@@ -135,31 +135,24 @@ def read_fields(path: Path, stated: Mapping[str, ConditionField | str] | None = 
     """
     names, units, cells, lines, header = _rows(path, read_text(path))
     declared = stated or {}
-    try:
+    with error_context(display_path(path)):
         by_column = columns_of_fields(names, units, declared)
-    except InputError as error:
-        raise InputError(*(f"{display_path(path)}: {line}" for line in error.problems)) from None
     numbers = {name: _numbers(cells[name]) for name in names}
+    blank = {name for name, values in numbers.items() if np.all(np.isnan(values))}
+    filled = {column: [f for f in fields if f.name not in blank] for column, fields in by_column.items()}
     columns: dict[str, FloatArray] = {}
     used: dict[str, FlightField] = {}
     fields_without_unit: dict[str, FlightField] = {}
-    empty: list[str] = []
-    matched: set[str] = set()
-    for column, fields in by_column.items():
-        matched |= {f.name for f in fields}
-        filled = [f for f in fields if not np.all(np.isnan(numbers[f.name]))]
-        empty += [f.name for f in fields if f not in filled]
-        with_unit = [f for f in filled if f.unit is not None]
-        if filled and not with_unit:
-            fields_without_unit[column] = filled[0]
-        if with_unit:
+    for column, fields in filled.items():
+        if with_unit := [f for f in fields if f.unit is not None]:
             used[column], columns[column] = _one(path, column, with_unit, numbers)
-    for column, value in declared.items():
-        if isinstance(value, ConditionField) and value.constant is not None:
-            columns[column] = np.full(len(lines), value.constant)
-    unused = tuple(n for n in names if n not in matched)
+        elif fields:
+            fields_without_unit[column] = fields[0]
+    columns |= {column: np.full(len(lines), constant) for column, constant in declared_constants(declared).items()}
+    matched = [f.name for fields in by_column.values() for f in fields]
+    unused, empty = tuple(n for n in names if n not in matched), tuple(n for n in matched if n in blank)
     rows = np.array(lines, dtype=np.int64)
-    return FlightFields(path, columns, used, fields_without_unit, unused, tuple(empty), header, rows, numbers)
+    return FlightFields(path, columns, used, fields_without_unit, unused, empty, header, rows, numbers)
 
 
 def _one(
@@ -211,9 +204,7 @@ def _rows(path: Path, text: str) -> Rows:
     """
     if text.lstrip()[:1] in ("{", "["):
         return _json_rows(path, text)
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not RULE.match(line)]
-    comments = [(i, line) for i, line in lines if line.lstrip().startswith("#")]
-    plain = [(i, line) for i, line in lines if not line.lstrip().startswith("#")]
+    comments, plain = _comments_and_rows(text)
     sign = _separator([line for _, line in plain[:200]])
     split = [(i, _split(line, sign)) for i, line in plain]
     first = next((k for k, (_, c) in enumerate(split) if _is_data(c)), None)
@@ -228,6 +219,22 @@ def _rows(path: Path, text: str) -> Rows:
     return names, units, columns, [i for i, _ in body], header
 
 
+def declared_constants(declared: Mapping[str, ConditionField | str]) -> dict[str, float]:
+    """Columns that are declared to be one number."""
+    fields = {column: value for column, value in declared.items() if isinstance(value, ConditionField)}
+    return {column: field.constant for column, field in fields.items() if field.constant is not None}
+
+
+def _comments_and_rows(text: str) -> tuple[list[tuple[int, str]], list[tuple[int, str]]]:
+    """Comments of a file, and its other lines, each with its number; without blank lines and ruled ones."""
+    comments: list[tuple[int, str]] = []
+    rows: list[tuple[int, str]] = []
+    for i, line in enumerate(text.splitlines(), 1):
+        if line.strip() and not RULE.match(line):
+            (comments if line.lstrip().startswith("#") else rows).append((i, line))
+    return comments, rows
+
+
 def _names_and_units(
     file: str, rows: Sequence[list[str]], comments: Sequence[str], sign: str, width: int
 ) -> tuple[list[str], dict[str, str]]:
@@ -235,14 +242,13 @@ def _names_and_units(
 
     raises : InputError where there are no names, or a name is repeated
     """
-    above = [cells for cells in rows if len(cells) == width]
-    if not above:  # the names stand in the last comment that has as many cells
-        named = [_split(line.lstrip().lstrip("#"), sign) for line in comments]
-        above = [cells for cells in named if len(cells) == width][-1:]
+    # else the names stand in the last comment that has as many cells
+    named = [_split(line.lstrip().lstrip("#"), sign) for line in comments]
+    above = [cells for cells in rows if len(cells) == width] or [c for c in named if len(c) == width][-1:]
     if not above:
         raise InputError(f"{file}: the row of column names is missing; add one, with units, as `Altitude (ft)`")
     names, units = above[-1], {}
-    if len(above) > 1 and all(_is_unit(c) for c in above[-1]):
+    if len(above) > 1 and all(map(_is_unit, above[-1])):
         names = above[-2]
         units = {n: u.strip("[]() ") for n, u in zip(names, above[-1], strict=True)}
     if (twice := repeated_name(names)) is not None:
@@ -269,14 +275,18 @@ def _with_points(body: Sequence[tuple[int, list[str]]], sign: str) -> list[list[
     return [[x.replace(",", ".") for x in c] if comma else c for _, c in body]
 
 
+def _numbered_objects(text: str) -> list[tuple[int, Any]]:
+    """Entries of a list in JSON with their numbers, or what each line holds with that of the line."""
+    if text.lstrip().startswith("["):
+        return list(enumerate(json.loads(text), 1))
+    return [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+
+
 def _json_rows(path: Path, text: str) -> Rows:
     """Rows of JSON: one object a line, or a list of objects."""
     file = display_path(path)
     try:
-        if text.lstrip().startswith("["):
-            numbered = [(k, row) for k, row in enumerate(json.loads(text), 1)]
-        else:
-            numbered = [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+        numbered = _numbered_objects(text)
     except json.JSONDecodeError as error:
         raise InputError(f"{file}, row {error.lineno}: is not JSON ({error.msg}); give one object a line") from None
     except RecursionError:
