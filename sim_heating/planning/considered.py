@@ -84,8 +84,8 @@ def fitted_records(
 
 
 def considered(estimate: Estimate, records: Sequence[Record]) -> Considered:
-    """What an estimate leaves open for another flight; nothing is known where its march began in mid-flight, or had
-    process noise.
+    """What an estimate leaves open for another flight; its own covariance alone where its march began in mid-flight, or
+    had process noise.
 
     records : that were fitted, in the order of the estimate
     raises  : InputError, RunError where the model of the estimate cannot be marched along them
@@ -103,8 +103,8 @@ def considered(estimate: Estimate, records: Sequence[Record]) -> Considered:
     problem.correct_meshes(values)
     noisy, size = with_stated_errors(problem, values, [stated_error(r.record) for r in problem.record_fits])
     inside = problem if estimate.model_error is None else noisy
-    held = [k for k, u in enumerate(problem.unknowns) if u.label not in labels]
-    if not held:
+    held = np.flatnonzero([u.label not in labels for u in problem.unknowns])
+    if len(held) == 0:
         return Considered(tuple(labels), own, size)
     at = np.array([[u.label for u in problem.unknowns].index(n) for n in labels])
     moved = np.diag(own) > 0.0  # one on its bound does not move
