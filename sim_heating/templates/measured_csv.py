@@ -190,7 +190,8 @@ class _Head:
     @property
     def unit(self) -> str:
         """Unit that is stated, else that of the cells."""
-        return self.stated or self.numbers.unit
+        is_remark = re.fullmatch(REMARK, self.stated.strip()) is not None  # `Avg` says how a sample was reduced
+        return (self.numbers.unit if is_remark else self.stated) or self.numbers.unit or self.stated
 
 
 def read_measured_csv(

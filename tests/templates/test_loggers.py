@@ -742,6 +742,14 @@ def test_cells_in_another_unit_than_their_column_states_are_refused(head: str, r
         read_measured_csv(Path("t.csv"))
 
 
+def test_the_unit_of_the_cells_is_used_where_the_name_states_how_they_were_reduced() -> None:
+    Path("t.csv").write_text("Time (s),TC1 (Avg)\n" + rows_of(lambda i, T: f"{2 * i},{32.0 + 1.8 * T:.2f} °F"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        measured = read_measured_csv(Path("t.csv"))
+    np.testing.assert_allclose(measured.of_kind(TEMPERATURE)[0].si, CHANNEL_K, atol=0.006)
+
+
 def test_a_cell_too_long_for_a_table_is_refused_in_a_line() -> None:
     Path("t.csv").write_text("Time (s),TC1 (C)\n0," + 200_000 * "2" + "\n1,21\n2,22\n")
     with pytest.raises(InputError, match=r"^t.csv: cannot be read as a table"):
