@@ -26,8 +26,8 @@ from sim_heating.base.files.text import and_more_rows
 from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
-from sim_heating.templates.loggers.block import Block
-from sim_heating.templates.loggers.clocks import (
+from sim_heating.heating.recorded.cells.block import Block
+from sim_heating.heating.recorded.cells.clocks import (
     ANY_ORDER,
     CLOCKS,
     LONGEST_STEP_S,
@@ -38,12 +38,12 @@ from sim_heating.templates.loggers.clocks import (
     over_midnight,
     with_colons,
 )
+from sim_heating.heating.recorded.cells.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
+from sim_heating.heating.recorded.cells.text import decoded, is_clock, is_number, rows_block, text_block
 from sim_heating.templates.loggers.files import json_block, kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
 from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
-from sim_heating.templates.loggers.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
 from sim_heating.templates.loggers.readings import OPEN, far_off, fault_codes, lost_codes
-from sim_heating.templates.loggers.text import decoded, is_clock, is_number, rows_block, text_block
 from sim_heating.templates.loggers.thermocouples import EXAMPLE as THERMOCOUPLE_EXAMPLE
 from sim_heating.templates.loggers.thermocouples import EmfColumn, is_emf, temperatures_K
 from sim_heating.templates.quantities import quantity

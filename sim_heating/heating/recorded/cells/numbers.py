@@ -14,7 +14,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import known_unit
-from sim_heating.templates.loggers.block import Block
+from sim_heating.heating.recorded.cells.block import Block
 
 BLANKS = "\u00a0\u202f'"
 """Thousands signs that are no decimal sign."""

@@ -12,7 +12,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, read_text
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import converted, known_unit
-from sim_heating.templates.loggers.block import Block
+from sim_heating.heating.recorded.cells.block import Block
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", " ": "blanks"}
 """In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates."""
