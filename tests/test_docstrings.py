@@ -16,7 +16,7 @@ SOURCE = re.compile(
 )
 NO_UNIT = {
     "write_order", "invalidate_cells", "cache_axis_cell", "lanes_outside_cell", "invalidate_walls", "pairs",
-    "shift_conditions", "values", "aligned_zeros", "histories", "snapshot", "copy_columns",
+    "shift_conditions", "values", "aligned_zeros", "histories", "snapshot", "copy_columns", "declared_constants",
 }  # fmt: skip
 """Functions that keep, move or invalidate numbers of any unit."""
 NO_SOURCE = NO_UNIT | {

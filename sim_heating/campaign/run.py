@@ -297,7 +297,7 @@ def _fit_singles(
             condition = joint_reference([f.records[point].with_fit([[s.begin_s, s.end_s]]) for f, _, s in chosen])
             reference = dict(zip(RATIO_VARIABLES, map(float, condition), strict=True))
             for f, m, span in chosen:
-                record, known = f.records[point], carried.get((f.name, point), Carried()).estimates
+                record, estimates = f.records[point], carried.get((f.name, point), Carried()).estimates
                 task = FitTask(
                     point,
                     m.name,
@@ -309,7 +309,7 @@ def _fit_singles(
                     starts=(span.start,),
                     settings=_as_data(result.campaign.settings(f.name, point, m)),
                     reference=reference,
-                    carried=known,
+                    carried=estimates,
                     root=result.campaign.root,
                 )
                 tasks.append((task, [record]))

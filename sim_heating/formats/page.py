@@ -36,6 +36,10 @@ class KeyTable:
     keys: tuple[Key, ...]
 
 
+KINDS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false", "null": "null"}
+"""Type of JSON Schema -> what a page calls it."""
+
+
 def key_tables(declared: FileFormat) -> list[KeyTable]:
     """The tables of a format, or one table with its columns or its keys."""
     if isinstance(declared, ColumnFormat):
@@ -104,13 +108,14 @@ class _Walk:
             return " or ".join(dict.fromkeys(self._value(b) for b in branches))
         kind = js.get("type")
         if kind in ("number", "integer"):
-            return {"number": "number", "integer": "whole number"}[kind] + _range(js)
+            return KINDS[kind] + _range(js)
         if kind == "array":
             return self._list(js)
-        if kind == "object":
-            inner = js.get("additionalProperties")
-            return "table" if not isinstance(inner, Mapping) or "$ref" in inner else f"table of {self._value(inner)}"
-        return {"string": "text", "boolean": "true or false", "null": "null"}.get(str(kind), "any")
+        return self._table(js) if kind == "object" else KINDS.get(str(kind), "any")
+
+    def _table(self, js: Mapping[str, Any]) -> str:
+        inner = js.get("additionalProperties")
+        return "table" if not isinstance(inner, Mapping) or "$ref" in inner else f"table of {self._value(inner)}"
 
     def _list(self, js: Mapping[str, Any]) -> str:
         if "prefixItems" in js:
@@ -125,17 +130,21 @@ def _name(reference: str) -> str:
 
 def _range(js: Mapping[str, Any]) -> str:
     """` (0 to 45)` or ` (above 0)`; empty without a limit."""
-    low, over = js.get("minimum"), js.get("exclusiveMinimum")
-    high, under = js.get("maximum"), js.get("exclusiveMaximum")
-    top = high if high is not None else under
-    least = low if low is not None else over
-    start = "" if least is None else f"{'above ' if low is None else ''}{least:g}"
-    end = "" if top is None else f"{'below ' if high is None else ''}{top:g}"
+    start, end = _end(js, "minimum", "exclusiveMinimum", "above"), _end(js, "maximum", "exclusiveMaximum", "below")
     if start and end:
         return f" ({start} to {end})"
     if start:
-        return f" ({start})" if low is None else f" ({start} or more)"
-    return f" ({end if high is None else f'up to {end}'})" if end else ""
+        return f" ({start} or more)" if "minimum" in js else f" ({start})"
+    if end:
+        return f" (up to {end})" if "maximum" in js else f" ({end})"
+    return ""
+
+
+def _end(js: Mapping[str, Any], included: str, excluded: str, beyond: str) -> str:
+    """`45`, or `above 0` of an end that is excluded; empty without one."""
+    if included in js:
+        return f"{js[included]:g}"
+    return f"{beyond} {js[excluded]:g}" if excluded in js else ""
 
 
 def _default(js: Mapping[str, Any]) -> str:

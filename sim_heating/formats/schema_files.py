@@ -32,10 +32,8 @@ def _without_null(js: Any) -> Any:
         return [_without_null(entry) for entry in js]
     if not isinstance(js, dict):
         return js
-    kept = {k: _without_null(v) for k, v in js.items() if not (k == "default" and v is None)}
-    branches = kept.get("anyOf")
-    if branches is not None:
-        branches = [b for b in branches if b != {"type": "null"}]
-        del kept["anyOf"]
+    kept = {k: _without_null(v) for k, v in js.items() if (k, v) != ("default", None)}
+    if "anyOf" in kept:
+        branches = [b for b in kept.pop("anyOf") if b != {"type": "null"}]
         kept = {"anyOf": branches, **kept} if len(branches) != 1 else {**branches[0], **kept}
     return kept

@@ -323,11 +323,11 @@ EFFECT_MODES: Mapping[str, Mapping[str, Any]] = {
         "truth": -0.2,
     },
 }
-"""What the files of a new effect say of its size, by its mode: its name, prior and bounds [-], and its true value."""
+"""Mode of a new effect -> name, prior and bounds of its size [-], its true value, and the words of its files."""
 
 
 def _of_variable(variable: str) -> dict[str, Any]:
-    """What the files of a new effect say of its variable."""
+    """Unit, centre, width and bounds of the variable of a new effect, and how its kernel reads it."""
     unit, centre, width, lower, upper = VARIABLES[variable]
     return {
         "unit": unit,

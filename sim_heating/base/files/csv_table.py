@@ -139,21 +139,17 @@ def csv_columns(
         if large is not None:
             return large
     names, rows, lines, header = _cells(path, content)
-    problems = _name_problems(display_path(path), names, required, optional, lost)
-    selected = [n for n in names if n and (keep_other or n in {*required, *optional, *text})]
-    raise_problems(problems)
-    ragged = [
-        f"{display_path(path)}, row {line}: {len(row)} cells for {len(names)} columns; the row is damaged or cut off"
-        for row, line in zip(rows, lines, strict=True)
-        if len(row) != len(names)
-    ]
-    raise_problems(_first_and_count(ragged))
-    raise_problems(_units_problems(display_path(path), rows, lines, bool(lost)))
+    file = display_path(path)
+    raise_problems(_name_problems(file, names, required, optional, lost))
+    raise_problems(_ragged_rows(file, rows, lines, len(names)))
+    raise_problems(_units_problems(file, rows, lines, bool(lost)))
     cells = dict(zip(names, zip(*rows, strict=True), strict=True))
+    selected = [n for n in names if keep_other or n in {*required, *optional, *text}]
     columns: dict[str, FloatArray] = {}
+    problems: list[str] = []
     for name in (n for n in selected if n not in text):
         columns[name], bad = _numbers(cells[name], name in lost)
-        problems += [f"{display_path(path)}, row {lines[i]}, column {name}: {problem}" for i, problem in bad]
+        problems += [f"{file}, row {lines[i]}, column {name}: {problem}" for i, problem in bad]
     raise_problems(problems)
     texts = {n: [c.strip() for c in cells[n]] for n in selected if n in text}
     return CsvTable(columns, header, path, np.array(lines, dtype=np.int64), texts)
@@ -243,6 +239,13 @@ def header_entry(line: str) -> tuple[str, str]:
 
 def _first_and_count(problems: list[str]) -> list[str]:
     return [problems[0] + and_more_rows(len(problems))] if problems else []
+
+
+def _ragged_rows(file: str, rows: list[list[str]], lines: list[int], width: int) -> list[str]:
+    """The problem of the first row with another number of cells than there are names, and the count of such rows."""
+    ragged = {line: len(row) for row, line in zip(rows, lines, strict=True) if len(row) != width}
+    rule = f"cells for {width} columns; the row is damaged or cut off"
+    return _first_and_count([f"{file}, row {line}: {count} {rule}" for line, count in ragged.items()])
 
 
 def _units_problems(file: str, rows: list[list[str]], lines: list[int], readings: bool) -> list[str]:

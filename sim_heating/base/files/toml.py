@@ -131,9 +131,9 @@ def _quantity_remarks(model: Declared, name: str, value: Any) -> list[tuple[Loca
 def _judged_numbers(
     model: Declared, name: str, value: Any, judge: Callable[[str, Any], list[tuple[Location, str]]]
 ) -> list[tuple[Location, str]]:
-    """What is told of the numbers of one field, each with its place below the field.
+    """Lines about the numbers of one field, each with its place below the field.
 
-    judge : what is told of numbers of a quantity, by its name
+    judge : lines about numbers of a quantity, by its name
     """
     if value is None or isinstance(value, (str, bool)):
         return []

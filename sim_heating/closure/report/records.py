@@ -261,8 +261,8 @@ def _values_cells(joint: JointClosure, name: str) -> list[str]:
     """A parameter as all records give it, and as each gives it by itself."""
     common = [p for label, p in joint.parameters.items() if label.partition(AT)[0] == name]
     alone = [e.own.get(name) for e in joint.search.evidence]
-    together = "; ".join(_bound(p.value, p.sigma) for p in common) or "-"
-    return [together, *("-" if o is None else _bound(*o) for o in alone)]
+    in_common = "; ".join(_bound(p.value, p.sigma) for p in common) or "-"
+    return [in_common, *("-" if o is None else _bound(*o) for o in alone)]
 
 
 def _values_section(joint: JointClosure) -> Section:

@@ -613,8 +613,8 @@ def _declared_sensor(link: Link, declared: SensorField, where: str) -> tuple[Lin
     sensors = [(point, sensor) for point in link.points for sensor in point.sensors]
     alike = [(p, s) for p, s in sensors if s.name == declared.sensor and declared.control_point in (None, p.name)]
     if not alike:
-        known = suggestion(declared.sensor, [sensor.name for _, sensor in sensors])
-        raise InputError(f"{where}: `sensor`: unknown sensor `{declared.sensor}`{known}")
+        hint = suggestion(declared.sensor, [sensor.name for _, sensor in sensors])
+        raise InputError(f"{where}: `sensor`: unknown sensor `{declared.sensor}`{hint}")
     if len(alike) > 1:
         owners = ", ".join(point.name for point, _ in alike)
         raise InputError(f"{where}: {owners} have a sensor {declared.sensor}; add `control_point`")

@@ -221,8 +221,8 @@ def flight_notes(flights: Sequence[EvaluatedCase]) -> tuple[str, ...]:
         first = no_trim[0].case.describe()
         trim.append(f"no trim within the elevon's travel: {len(no_trim)} flights, first {first}; not allowed")
     by_end: dict[str, list[EvaluatedCase]] = {}
-    left = [(name, f) for f in flights for name, m in f.other_violations if m.kind == TABLE]
-    for name, flight in left:
+    exits = [(name, f) for f in flights for name, m in f.other_violations if m.kind == TABLE]
+    for name, flight in exits:
         by_end.setdefault(name, []).append(flight)
     outside = [_excursion_note(name, excursions) for name, excursions in sorted(by_end.items())]
     return tuple(dict.fromkeys([*failed, *trim, *outside]))
