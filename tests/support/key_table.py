@@ -81,6 +81,7 @@ _SHOWN = {
         "InstrumentSet.bits InstrumentSet.name InstrumentSet.prior InstrumentSet.range_K InstrumentSet.rate_hz "
         "InstrumentSet.sensor Design.instruments"
     ),
+    "tests/inputs/test_sensors.py": "RateInManoeuvres.elsewhere_hz RateInManoeuvres.manoeuvres_hz",
     "tests/estimation/test_growing_noise.py": "Sensor.noise_per_K",
     "tests/estimation/test_ambient_check.py": (
         "AmbientCheck.T_K AmbientCheck.reading_K AmbientCheck.sigma_K RecordedSensor.ambient_check "

@@ -116,7 +116,7 @@ def _quantity_problems(model: Declared, name: str, value: Any) -> list[tuple[Loc
     """Problems of the numbers of one field: the place below the field, and the rule of the quantity."""
     if value is None or isinstance(value, (str, bool)):
         return []
-    declared = model.quantities.get(name, name)
+    declared = _declared_quantity(model, name, value)
     if declared is None:
         return []
     if isinstance(value, Mapping):
@@ -137,7 +137,7 @@ def _quantity_remarks(model: Declared, name: str, value: Any) -> list[tuple[Loca
     """The unusual numbers of one field, as `_quantity_problems` has the impossible ones."""
     if value is None or isinstance(value, (str, bool)):
         return []
-    declared = model.quantities.get(name, name)
+    declared = _declared_quantity(model, name, value)
     if isinstance(value, Mapping):
         numbers = ((key, _unusual_numbers(key, v)) for key, v in value.items())
         return [((key, *below), text) for key, remarks in numbers for below, text in remarks]
@@ -152,6 +152,12 @@ def _quantity_remarks(model: Declared, name: str, value: Any) -> list[tuple[Loca
         if column is not None
         for _, text in _unusual_numbers(_meant(model, column), number)
     ]
+
+
+def _declared_quantity(model: Declared, name: str, value: Any) -> str | tuple[str | None, ...] | None:
+    """What `quantities` states of a field: of one number in place of a list of rows, that of their last column."""
+    declared = model.quantities.get(name, name)
+    return declared[-1] if isinstance(declared, tuple) and isinstance(value, (int, float)) else declared
 
 
 def _unusual_numbers(name: str, value: Any) -> list[tuple[Location, str]]:
