@@ -161,7 +161,7 @@ class Thermocouples(FileReference):
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns of the file that are read, in addition to `time_s`."""
-        return tuple(instrument.column for instrument in (*self.sensor, *self.transducer))
+        return (*(s.column for s in self.sensor), *(t.column for t in self.transducer))
 
 
 class FlightUncertainty(Declared):
