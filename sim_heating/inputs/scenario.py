@@ -585,6 +585,9 @@ def _fmu_problems(spec: TrajectorySpec, vehicle: Vehicle) -> Sequence[str]:
     """Contradictions between the scenario and its FMU, where it flies one."""
     if spec.source != "fmu":
         return ()
+    from sim_heating.trajectory.fmu import require_fmpy
+
+    require_fmpy()
     from sim_heating.trajectory.fmu.flight import fmu_problems  # FMPy and pint are slow to import
 
     return fmu_problems(spec, vehicle)
