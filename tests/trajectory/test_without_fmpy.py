@@ -1,4 +1,4 @@
-"""A default installation, which is without FMPy: flights of an imported FMU say what to install, exports need it not."""
+"""An installation without FMPy, as the default one: flights of an imported FMU say what to install, exports work."""
 
 from __future__ import annotations
 
