@@ -288,6 +288,11 @@ def test_a_manoeuvre_that_does_not_identify_a_parameter_is_refused():
         DesignSearch(planner_of(parameters=["ratio.d_bodyflap"]))
 
 
+def test_a_number_of_flights_is_listed_once() -> None:
+    with pytest.raises(InputError, match=r"`flights`: 1 is repeated; list each number of flights once"):
+        planner_of(flights=[1] * 1000)
+
+
 @pytest.mark.parametrize(
     ("key", "names"),
     [("parameters", ["ratio.d_alfa"]), ("nuisance", ["ratio.d_alfa"]), ("prior", {"ratio.d_alfa": 1e-4})],
