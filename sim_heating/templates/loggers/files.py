@@ -11,7 +11,7 @@ import pandas as pd
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path
-from sim_heating.templates.loggers.block import Block, cell_text, of_frame
+from sim_heating.heating.recorded.cells.block import Block, cell_text, of_frame
 
 KINDS = {b"PAR1": "parquet", b"PK\x03\x04": "xlsx", b"\xd0\xcf\x11\xe0": "xls", b"TDSm": "tdms"}
 """First bytes -> kind of file."""
