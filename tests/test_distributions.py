@@ -71,7 +71,7 @@ def test_a_wheel_has_every_file_of_the_package_and_of_the_data_folders(built):
 def test_a_source_distribution_has_what_the_tests_and_pages_need(unpacked):
     for folder in (*INSIDE, "sim_heating", "tests", "benchmarks", "tools", "examples", "docs"):
         assert files_below(unpacked / folder) == files_below(ROOT / folder)
-    for name in ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", ".ci/run"):
+    for name in ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "paper.md", "recipe/recipe.yaml", ".ci/run"):
         assert (unpacked / name).read_bytes() == (ROOT / name).read_bytes()
 
 
@@ -93,6 +93,30 @@ def test_a_default_installation_has_neither_planning_nor_tools_of_development():
     requirements = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
     names = {re.split(r"[<>=; ]", requirement)[0].lower() for requirement in requirements}
     assert not names & {"distributed", "dask", "casadi", "pyarrow", "mypy", "ruff", "pytest", "cantera", "sphinx"}
+
+
+CONDA = {"matplotlib": "matplotlib-base", "netCDF4": "netcdf4"}
+"""Names of packages that conda-forge has under another one."""
+
+
+def test_the_conda_recipe_asks_for_what_a_default_installation_does():
+    """Every requirement with its versions; that of a platform without a wheel holds for all there."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    stated = [re.match(r"([\w-]+)(.*?)(?:;.*)?$", line) for line in project["dependencies"]]
+    expected = {f"{CONDA.get(m[1], m[1])} {m[2].strip()}" for m in stated if m}
+    text = (ROOT / "recipe" / "recipe.yaml").read_text(encoding="utf-8")
+    run = text.partition("  run:\n")[2].partition("\n\n")[0]
+    found = {line.strip().removeprefix("- ") for line in run.splitlines()}
+    assert found == expected | {f"python {project['requires-python']}"}
+    assert f'version: "{project["version"]}"' in text
+
+
+def test_every_command_that_the_paper_of_the_project_names_is_a_benchmark():
+    text = (ROOT / "paper.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"python -m benchmarks[. ](\w+)", text))
+    assert len(named) >= 10
+    assert [name for name in sorted(named) if not (ROOT / "benchmarks" / f"{name}.py").is_file()] == []
+    assert 800 <= len(re.sub(r"<!--.*?-->|---.*?---", "", text, flags=re.DOTALL).split()) <= 1200
 
 
 @pytest.fixture(scope="module")

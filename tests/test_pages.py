@@ -18,7 +18,7 @@ from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
 PAGES = sorted(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)
-TOP = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md") if (ROOT / name).is_file()]
+TOP = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "paper.md") if (ROOT / name).is_file()]
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 WEB = re.compile(r"[a-z]+:")
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)

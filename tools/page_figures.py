@@ -59,7 +59,11 @@ class Stale:
 def pages() -> list[Path]:
     """Pages that may quote results."""
     built = DOCS / "_build"
-    return [DOCS.parent / "README.md", *(p for p in sorted(DOCS.rglob("*.md")) if built not in p.parents)]
+    return [
+        DOCS.parent / "README.md",
+        DOCS.parent / "paper.md",
+        *(p for p in sorted(DOCS.rglob("*.md")) if built not in p.parents),
+    ]
 
 
 def stale_figures(page: Path) -> list[Stale]:

@@ -226,6 +226,7 @@ INSTRUMENTS = (
     ("10 bits", "word: 10 bits", "word: 10 bits"),
     ("12 bits", "word: 12 bits", "word: 12 bits"),
     ("5 Hz", "rate: 5 Hz", "rate: 5 Hz"),
+    ("10 Hz in manoeuvres, 1 Hz elsewhere", *2 * ("rate: 10 Hz in manoeuvres, 1 Hz elsewhere",)),
     ("10 Hz", "rate: 10 Hz", "rate: 10 Hz"),
     ("clock within 0.1 s", "clock: within 0.1 s", "clock: within 0.1 s"),
     ("clock within 0.01 s", "clock: within 0.01 s", "clock: within 0.01 s"),

@@ -143,8 +143,13 @@ CLOCK_SKEW = Parameter("clock.skew", "s", 0.0, 0.5, -10.0, 10.0, "recorded T(t) 
 
 COMMON_LAG = Parameter("sensors.tau_s", "s", 0.0, 0.5, 0.0, 100.0, "added to the lag of each thermocouple, first order")
 """Time constant that all thermocouples of a record have in addition to their declared ones."""
-RECORD_PARAMETERS = {p.name: p for p in (CLOCK_SKEW, COMMON_LAG)}
-"""Parameters of a record's readings as a whole, by name."""
+PRESSURE_FACTOR = Parameter(
+    "conditions.p_surface_factor", "1", 1.0, 0.3, 0.1, 10.0, "surface pressure over the one that is computed"
+)
+"""Factor on the surface pressure of a record, which the conductivity of porous insulation depends on; its prior of
+30 % is that without a pressure measurement at the control point."""
+RECORD_PARAMETERS = {p.name: p for p in (CLOCK_SKEW, COMMON_LAG, PRESSURE_FACTOR)}
+"""Parameters of a record's readings and conditions as a whole, by name."""
 
 SENSOR_PREFIX = "sensor."
 SENSOR = {

@@ -440,6 +440,8 @@ def design(
     for line in changes(contents):
         CONSOLE.print(line)
     _print_checks(contents)
+    if contents["locations"]:
+        CONSOLE.print(f"locations, bounds over the ratio: {_ranking(contents)}")
     for face in contents["interfaces"]:
         CONSOLE.print(
             f"interface of {face['control_point']} behind {face['upstream']}: heating {face['largest_excess']:+.1%} at "
@@ -448,6 +450,12 @@ def design(
     for line in notes(designed):
         CONSOLE.print(line)
     print_outputs(out, names, "design.json")
+
+
+def _ranking(contents: dict[str, Any]) -> str:
+    """Control points by the bounds of one thermocouple there, over those at the design's point."""
+    values = ((at["control_point"], at["over_declared"]) for at in contents["locations"])
+    return ", ".join(f"{name} {'none' if value is None else format(value, '.2g')}" for name, value in values)
 
 
 def _print_checks(contents: dict[str, Any]) -> None:

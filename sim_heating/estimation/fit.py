@@ -26,7 +26,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
-from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, SHORT_NAMES, Parameter
+from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, PRESSURE_FACTOR, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.table import Column, Table
 from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO, held_out, of_several, ratio_uncertainty
@@ -395,6 +395,8 @@ def estimate(
     first = {} if settings is None else settings.first_values
     problem, omitted = _informed_problem(loaded, parameters, joint_reference(loaded, reference), options, first)
     stated = [] if error_of is None else [error_of(r.record) for r in problem.record_fits]
+    if process_noise is not None and any(not isinstance(r.by_pressure_K, float) for r in problem.record_fits):
+        raise InputError(f"`{PRESSURE_FACTOR.name}`: no filter with process noise changes it; leave one of the two out")
     start, innovations = first_values(problem, first), None
     if any(s.heating is not None for s in stated):
         problem, fit = _fit_with_errors(problem, start, stated, settings)
@@ -832,6 +834,7 @@ def predict_fit(record_fit: RecordFit, values: FloatArray, error: FloatArray = N
             flown = model_error.flight.record(np.array([of_record[n] for n in record_fit.flight_names]))
         elif len(error) > 0:
             flown = model_error.flight.record(model_error.along_flight(error))
+    flown = replace(flown, pressure_factor=(record_fit.pressure_factor(values), 0.0))
     marched, model = marched_from(flown, record_fit.model_at(values), begin, end, profile)
     prediction = predict_record(marched, model, skew_s=-record_fit.shift_s(values), errors=errors)
     return replace(prediction, record=record)

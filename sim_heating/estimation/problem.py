@@ -41,6 +41,7 @@ from sim_heating.estimation.record_fit import (
     march_times,
     sensor_definition,
     set_parameters,
+    set_pressure_response,
 )
 from sim_heating.estimation.unknowns import DEFAULT_OPTIONS, FitOptions, FitParameter, StatedParameters
 from sim_heating.inputs.parameter_owners import Owners, is_of_record
@@ -90,6 +91,9 @@ class FitProblem:
             _choose_samples(record_fit, mask, options.longest_step_s)
         _divide_steps(self.record_fits, options.tolerance_K)
         self.marches = FitMarches(self.record_fits)
+        start = np.array([p.value for p in self.parameters])
+        for record_fit in self.record_fits:
+            set_pressure_response(record_fit, start)
 
     @classmethod
     def joined(cls, parts: Sequence[FitProblem], owners: Sequence[Mapping[str, str]]) -> FitProblem:
@@ -370,7 +374,8 @@ class FitProblem:
     # Mesh ------------------------------------------------------------------------------------------------------------
 
     def correct_meshes(self, vector: FloatArray) -> None:
-        """Take the discretisation error of the meshes [K] out of all predictions from now on.
+        """Take the discretisation error of the meshes [K] out of all predictions from now on, and renew the responses
+        to the surface pressure.
 
         vector : (parameter,) values at which the error is computed; make it near the values found, as its change with
                  the parameters is neglected
@@ -379,6 +384,8 @@ class FitProblem:
         Source: docs/theory/estimation_statistics.md, equation 31.
         """
         in_threads(lambda k: correct_mesh(self.record_fits[k], vector), len(self.record_fits))
+        for record_fit in self.record_fits:
+            set_pressure_response(record_fit, vector)
 
     @property
     def mesh_warnings(self) -> list[str]:

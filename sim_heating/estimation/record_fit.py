@@ -36,9 +36,17 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
-from sim_heating.base.kernels.block import LANES
+from sim_heating.base.kernels.block import LANES, P_SURFACE
 from sim_heating.base.kernels.lag import lag_columns, lag_per_constant
-from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, SENSOR, SENSOR_PREFIX, Parameter
+from sim_heating.base.parameters import (
+    CLOCK_SKEW,
+    COMMON_LAG,
+    PRESSURE_FACTOR,
+    RECORD_PARAMETERS,
+    SENSOR,
+    SENSOR_PREFIX,
+    Parameter,
+)
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, middle_K, reading_intervals
 from sim_heating.estimation.inference.model_error import ModelError
 from sim_heating.inputs.points import conditions_of_record, flow_of_record
@@ -64,6 +72,8 @@ SKEW_SPAN_S = 5.0
 """Bounds of an estimated skew [s]; samples this near the ends of the conditions are then omitted."""
 SKEW_SHARE = 0.05
 """Part of the conditions' time that these bounds are at most: a short record has no seconds to spare."""
+PRESSURE_STEP = 0.05
+"""Step in the logarithm of the surface pressure, to either side, at which the response to it is marched [-]."""
 LAG_NAME = ".tau_s"
 """End of the names of time constants of thermocouples."""
 SMALL_CORRECTION_K = 1.0
@@ -89,6 +99,8 @@ class RecordFit:
     sigma_K    : noise [K] by number of the sensor
     correction_K : (sensor, sample) difference [K] of the limit of fine meshes from the march at the thermocouples,
                    which FitProblem.correct_meshes sets
+    by_pressure_K : (sensor, sample) response of the thermocouples [K] to the logarithm of the factor on the surface
+                   pressure, which `set_pressure_response` sets; 0 where that factor is as the record states it
     mesh_warning : warning about the mesh, or empty
     known_log_likelihood : of readings that are explained without the march and are no samples, such as those of a stuck
                    thermocouple; added to that of the samples
@@ -110,6 +122,7 @@ class RecordFit:
     channels: list[FittedChannel] = field(default_factory=list)
     sigma_K: dict[int, float] = field(default_factory=dict)
     correction_K: FloatArray | float = 0.0
+    by_pressure_K: FloatArray | float = 0.0
     mesh_warning: str = ""
     known_log_likelihood: float = 0.0
     fixed: Mapping[str, float] = field(default_factory=dict)
@@ -350,12 +363,25 @@ class RecordFit:
         return self.start.refined + interpolate_profile(initial - self.start.profile, self.mesh, fine)
 
     def corrected(self, march: Linearised, vector: FloatArray) -> Sensed:
-        """`sensed` with the correction for the mesh [K] added to its temperatures; sensitivities are those of the mesh.
+        """`sensed` with the correction for the mesh [K] and the response to the surface pressure [K] added to its
+        temperatures; sensitivities are those of the mesh.
 
-        Source: docs/theory/estimation_statistics.md, equation 31.
+        Source: docs/theory/estimation_statistics.md, equations 2b and 31.
         """
         sensed = self.sensed(march, vector)
-        return replace(sensed, temperature_K=sensed.temperature_K + self.correction_K)
+        added, factor = self.correction_K, self.pressure_factor(vector)
+        if not isinstance(self.by_pressure_K, float):
+            added = added + self.by_pressure_K * math.log(factor / self.record.pressure_factor[0])
+        per_factor = self.by_pressure_K / factor
+        return replace(sensed, temperature_K=sensed.temperature_K + added, per_pressure_K=per_factor)
+
+    def pressure_factor(self, vector: FloatArray) -> float:
+        """Surface pressure over that of the conditions [-] at a parameter vector (parameter,): as the record knows it
+        where it is neither estimated nor fixed.
+
+        Source: docs/theory/estimation_statistics.md, equation 2b.
+        """
+        return self.values(vector).get(PRESSURE_FACTOR.name, self.record.pressure_factor[0])
 
     def lag_offset(self, vector: FloatArray, *, sensitive: bool = True) -> Sensed | None:
         """What the lags of the thermocouples add to the plain march, and its derivatives; None where none lags.
@@ -400,9 +426,11 @@ class Sensed(Linearised):
     """Temperatures of thermocouples at the samples, behind their lags, and their derivatives.
 
     per_lag_K_s : (sensor, sample) derivative to the time constant [K/s]; (sensor, 1) zeros where none lags
+    per_pressure_K : (sensor, sample) derivative to the factor on the surface pressure [K]; 0 where that is not changed
     """
 
     per_lag_K_s: FloatArray
+    per_pressure_K: FloatArray | float = 0.0
 
 
 def _behind_lag(
@@ -661,6 +689,8 @@ def indications(
             jacobian[:, k] = channel.since_s
         elif name in (COMMON_LAG.name, sensor_parameter(sensor, "tau_s")):
             jacobian[:, k] = errors.gain * march.per_lag_K_s[channel.number, channel.samples]
+        elif name == PRESSURE_FACTOR.name and not isinstance(march.per_pressure_K, float):
+            jacobian[:, k] = errors.gain * march.per_pressure_K[channel.number, channel.samples]
     # most sensors have no curve: this saves a polynomial for every sample of every evaluation
     wrong = errors.gain * T + errors.bias_K + errors.drift_K_s * channel.since_s
     if sensor.calibration is None:
@@ -707,6 +737,9 @@ def sensor_definition(record: Record, name: str) -> Parameter | None:
 
     Parameters s, b and g of docs/theory/estimation_statistics.md, equation 1.
     """
+    if name == PRESSURE_FACTOR.name:
+        mean, sigma = record.pressure_factor
+        return replace(PRESSURE_FACTOR, value=mean, sigma=sigma)
     if name in RECORD_PARAMETERS:
         return RECORD_PARAMETERS[name]
     if not name.startswith(SENSOR_PREFIX):
@@ -801,6 +834,28 @@ def mesh_error_K(record_fit: RecordFit, vector: FloatArray) -> FloatArray:
         if np.max(np.abs(error - before)) < SETTLED_K:
             return error
     raise RunError(f"after {MOST_HALVINGS} halvings of the elements it still changes by more than {SETTLED_K:g} K")
+
+
+def set_pressure_response(record_fit: RecordFit, vector: FloatArray) -> None:
+    """Set the response of a record's thermocouples to its surface pressure, where a fit changes that.
+
+        dT / d ln f = [T(e^h p) - T(e^-h p)] / 2h,   h = 0.05
+
+    vector : (parameter,) values at which it is marched; its change with the parameters is neglected
+    raises : RunError where a march failed
+
+    Conductivities are linear in the logarithm of the pressure. Source: docs/theory/estimation_statistics.md,
+    equation 2b.
+    """
+    if PRESSURE_FACTOR.name not in (*record_fit.sensor_names, *record_fit.fixed):
+        return
+    # start and clock are as they are: only the march from there on depends on the pressure
+    track, history = record_fit.track(vector, sensitive=False), record_fit.history(record_fit.time_s)[0]
+    sides = np.stack([history, history])
+    sides[:, :, P_SURFACE] *= np.exp([[PRESSURE_STEP], [-PRESSURE_STEP]])
+    march = LinearMarch([replace(track, flight=k) for k in range(2)], record_fit.time_s, sides)
+    high, low = (record_fit.sensed(m, vector) for m in march.march([record_fit.shift_s(vector)] * 2))
+    record_fit.by_pressure_K = (high.temperature_K - low.temperature_K) / (2.0 * PRESSURE_STEP)
 
 
 def _temperatures_K(

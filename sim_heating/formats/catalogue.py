@@ -113,6 +113,7 @@ FORMATS: tuple[FileFormat, ...] = (
         "scenarios/records/practice/p08/thermocouples.csv",
         {**_columns("time_s"), "NAME_K": "temperature in K that a sensor indicates; the name is its `column` in "
          "`[[thermocouples.sensor]]`"},
+        {"NAME_Pa": "pressure in Pa that a transducer indicates, its `column` in `[[thermocouples.transducer]]`"},
     ),
     ColumnFormat(
         "ratio_table", "ratio_table.csv", "heating ratios of a control point over five variables",

@@ -241,7 +241,9 @@ def _heated_with(record: Record, table: RatioTable | None) -> Conditions:
         sweep_deg=heating.sweep_deg or 0.0,
         ratio=_ratio_along(table, record.conditions),
     )
-    heated = record.conditions.with_columns(**columns._asdict())
+    factor = record.pressure_factor[0]
+    measured = {} if factor == 1.0 else {"p_surface_Pa": factor * record.conditions["p_surface_Pa"]}
+    heated = record.conditions.with_columns(**columns._asdict(), **measured)
     if record.upstream is not None:
         flown_upstream = heated.with_columns(**edge_flow_columns(flow_of_record(record), record.conditions))
         wall = replace(_declared_point(record), construction=record.upstream, depths_m=(), lags_s=(), interface=None)

@@ -47,6 +47,7 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.files.roots import portable_name
 from sim_heating.base.limits import HOTTEST_K, USUAL
+from sim_heating.base.parameters import PRESSURE_FACTOR
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import (
@@ -71,6 +72,7 @@ from sim_heating.heating.recorded.reading import local_pressure, lowered_confide
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
 from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition, turbulent_problems
+from sim_heating.inputs.pressure_transducer import Normal, PressureTransducer, pressure_factor, transducer_problems
 from sim_heating.thermal.stack import Construction, PressureTable, Sensor, construct, sensor_problems, sensor_remarks
 
 REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
@@ -137,7 +139,10 @@ class RecordedSensor(Sensor):
     def _check_ambient(self) -> RecordedSensor:
         prior = self.bias_prior_K
         if self.ambient_check is not None and prior is not None and prior[1] == 0.0:
-            rule = "knows the bias without an error; add `sigma_K` of the wall's temperature, or `noise_sigma_K`"
+            rule = (
+                "states no error, and would fix the bias exactly; add `sigma_K` of the wall's temperature to it, or "
+                "`noise_sigma_K` or `bits` to the sensor"
+            )
             raise LocatedError((("ambient_check",), rule))
         return self
 
@@ -149,6 +154,14 @@ class Thermocouples(FileReference):
         default="thermocouples.csv", min_length=1, description="a file name in the record's directory"
     )
     sensor: list[RecordedSensor] = Field(min_length=1, description="[[thermocouples.sensor]], at least one")
+    transducer: list[PressureTransducer] = Field(
+        default=[], description="[[thermocouples.transducer]], of the pressure at the surface, in the same file"
+    )
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the file that are read, in addition to `time_s`."""
+        return (*(s.column for s in self.sensor), *(t.column for t in self.transducer))
 
 
 class FlightUncertainty(Declared):
@@ -523,6 +536,10 @@ class RecordFile(Construction):
             (("thermocouples", "sensor", *location), text)
             for location, text in sensor_problems(self.stack, self.thermocouples.sensor, self.materials)
         ]
+        problems += [
+            (("thermocouples", "transducer", *location), text)
+            for location, text in transducer_problems(self.thermocouples.transducer, self.thermocouples.sensor)
+        ]
         heating = self.heating
         files = (self.conditions.file, self.thermocouples.file, heating.ratio_table, heating.turbulent_file)
         if len({f for f in files if f}) < sum(f is not None for f in files):
@@ -547,6 +564,8 @@ class Record:
     turbulent     : the declared turbulent heating ratio, or None
     label         : its name among the records of a command, where that of the directory is not unique there
     rows          : (sample,) rows of the measurement file, its names on the first
+    pressure_factor : mean and standard deviation of the surface pressure over that of the conditions [-], by its prior
+                    and by what its transducers read
     """
 
     declared: RecordFile
@@ -557,6 +576,7 @@ class Record:
     turbulent: RatioTable | None = None
     label: str = ""
     rows: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    pressure_factor: Normal = (PRESSURE_FACTOR.value, PRESSURE_FACTOR.sigma)
 
     def __repr__(self) -> str:
         sensors, t = len(self.sensors), self.conditions.time_s
@@ -833,7 +853,7 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     required = tuple(c for c in required if c not in spared)
     optional = (*(c for c in (*STATE, *HEATING) if c not in required), *OPTIONAL_COLUMNS)
     conditions, declared = _conditions_of_file(home / declared.conditions.file, required, optional, declared)
-    columns = [s.column for s in declared.thermocouples.sensor]
+    columns = [*declared.thermocouples.columns]
     thermocouples = read_csv_columns(
         home / declared.thermocouples.file, ("time_s", *columns), allow_empty=columns, keep_other=False
     )
@@ -918,7 +938,7 @@ def make_record(
 
 def _array_problems(measured: Mapping[str, FloatArray], declared: RecordFile, where: str) -> list[str]:
     """Problems of measurements in memory that a file cannot have: absent, of unequal length, not finite."""
-    missing = [n for n in ("time_s", *(s.column for s in declared.thermocouples.sensor)) if n not in measured]
+    missing = [n for n in ("time_s", *declared.thermocouples.columns) if n not in measured]
     if missing:
         return [f"{where}: there is no column `{name}`; add it" for name in missing]
     time = measured["time_s"]
@@ -968,7 +988,17 @@ def _check_record(
     tell(_remarks(conditions, thermocouples, declared, table, home))
     table = declared.heating.constant_ratio() if table is None else table
     flown, lines = Conditions(conditions.columns), thermocouples.lines
-    return Record(declared, flown, thermocouples.columns, table, home, turbulent, rows=lines)
+    known = _pressure_factor(declared, flown, thermocouples.columns)
+    return Record(declared, flown, thermocouples.columns, table, home, turbulent, rows=lines, pressure_factor=known)
+
+
+def _pressure_factor(declared: RecordFile, flown: Conditions, readings: Mapping[str, FloatArray]) -> Normal:
+    """Mean and standard deviation of the surface pressure over that of the conditions [-]."""
+    transducers = declared.thermocouples.transducer
+    if not transducers:
+        return PRESSURE_FACTOR.value, PRESSURE_FACTOR.sigma
+    stated = np.interp(readings["time_s"], flown.time_s, flown["p_surface_Pa"], np.nan, np.nan)
+    return pressure_factor(transducers, stated, readings)
 
 
 RADIUS_RATIOS = (0.5, 2.0)

@@ -44,15 +44,17 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K
-from sim_heating.base.parameters import MODEL, layer_parameter
+from sim_heating.base.parameters import MODEL, PRESSURE_FACTOR, layer_parameter
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.effects import EffectUse, Window, use
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.recorded.layout import read_fields, states_columns
 from sim_heating.inputs.declared_effects import KEYS
+from sim_heating.inputs.pressure_transducer import PressureTransducer
 from sim_heating.inputs.record import Segments
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
+from sim_heating.thermal.sampling import RATE_TEXT, SampleRate
 from sim_heating.thermal.stack import Sensor
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -159,10 +161,10 @@ class SensorFault(Declared):
 class Measurements(Declared):
     """Sampling, clock and faults of the measurements that `synthesize` makes."""
 
+    quantities: ClassVar = {"rate_hz": ("time_s", "rate_hz")}
+
     seed: int = Field(default=1, ge=0, description="a whole number, 0 or above")
-    rate_hz: float | None = Field(
-        default=None, gt=0.0, le=1000.0, description="samples a second, up to 1000; the sensors' own where absent"
-    )
+    rate_hz: SampleRate | None = Field(default=None, description=f"{RATE_TEXT}; the sensors' own where absent")
     sample_offset_s: float = Field(default=0.0, description="time of the first sample after the start in s")
     clock_skew_s: float = Field(default=0.0, description="recorded T(t) = true T(t - skew) in s")
     jet_q_fraction: float = Field(
@@ -188,6 +190,10 @@ class Truth(Declared):
 
     parameters: dict[str, float] = Field(default={}, description="dotted model parameters by name")
     effect: list[ScenarioEffect] = Field(default=[])
+    p_surface_factor: float = Field(
+        default=PRESSURE_FACTOR.value, ge=PRESSURE_FACTOR.lower, le=PRESSURE_FACTOR.upper,
+        description=PRESSURE_FACTOR.text,
+    )  # fmt: skip
 
     @field_validator("parameters")
     @classmethod
@@ -261,20 +267,23 @@ class DesignLimits(Declared):
 class InstrumentSet(Declared):
     """Instruments that a design compares with the declared ones.
 
-    sensor : in place of the control point's
+    sensor, transducer : in place of the control point's
     bits, range_K, rate_hz : of all thermocouples, scaled alike, in place of their own
     prior  : standard deviation of parameters before the flight, by dotted name, in place of the design's
     """
 
-    quantities: ClassVar = {"prior": None}
+    quantities: ClassVar = {"prior": None, "rate_hz": ("time_s", "rate_hz")}
 
     name: str = Field(min_length=1, description="name of the set")
     sensor: list[Sensor] | None = Field(
         default=None, min_length=1, description="[[design.instruments.sensor]], in place of the control point's"
     )
+    transducer: list[PressureTransducer] | None = Field(
+        default=None, description="[[design.instruments.transducer]], in place of the control point's"
+    )
     bits: int | None = Field(default=None, ge=1, le=32, description="bits of the recorder word of all")
     range_K: list[float] | None = Field(default=None, description="[lowest, highest] of all in K")
-    rate_hz: float | None = Field(default=None, gt=0.0, description="samples a second of all")
+    rate_hz: SampleRate | None = Field(default=None, description=f"of all: {RATE_TEXT}")
     prior: dict[str, Annotated[float, Field(gt=0.0)]] = Field(
         default={}, description="standard deviations above 0, by dotted name"
     )
@@ -335,6 +344,8 @@ class Design(Declared):
     def _check_flights(cls, flights: list[int]) -> list[int]:
         if min(flights) < 1:
             raise ValueError(f"{min(flights)} is not a number of flights; give 1 or more")
+        if (number := repeated_name([str(n) for n in flights])) is not None:
+            raise ValueError(f"{number} is repeated; list each number of flights once")
         return flights
 
 
@@ -580,6 +591,9 @@ def _fmu_problems(spec: TrajectorySpec, vehicle: Vehicle) -> Sequence[str]:
     """Contradictions between the scenario and its FMU, where it flies one."""
     if spec.source != "fmu":
         return ()
+    from sim_heating.trajectory.fmu import require_fmpy
+
+    require_fmpy()
     from sim_heating.trajectory.fmu.flight import fmu_problems  # FMPy and pint are slow to import
 
     return fmu_problems(spec, vehicle)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.jit import njit
+from sim_heating.thermal.sampling import USUAL_HZ, Rate, sample_instants
 from sim_heating.thermal.stack import Sensor
 
 
@@ -115,35 +116,47 @@ def quantise(sensor: Sensor, indicated_K: FloatArray) -> FloatArray:
     """
     if sensor.bits is None or sensor.range_K is None:
         return indicated_K
-    low, _ = sensor.range_K
-    codes = np.clip(np.rint((indicated_K - low) / sensor.lsb_K), 0, 2**sensor.bits - 1)
-    return low + codes * sensor.lsb_K
+    return word_value(indicated_K, sensor.range_K[0], sensor.lsb_K, sensor.bits)
+
+
+def word_value(indicated: FloatArray, lowest: float, lsb: float, bits: int) -> FloatArray:
+    """(sample,) what a recorder word stands for: low + code LSB, all in one unit ([K] or [Pa]).
+
+    lowest : of its span;  lsb : its step;  bits : of the word [-]
+
+    Source: docs/theory/equations.md, equation 34.
+    """
+    codes = np.clip(np.rint((indicated - lowest) / lsb), 0, 2**bits - 1)
+    return np.asarray(lowest + codes * lsb)
 
 
 def sample_times(
-    sensors: Sequence[Sensor], start_s: float, end_s: float, *, rate_hz: float | None = None, offset_s: float = 0.0
+    sensors: Sequence[Sensor],
+    start_s: float,
+    end_s: float,
+    *,
+    rate_hz: Rate | None = None,
+    offset_s: float = 0.0,
+    manoeuvres_s: Sequence[tuple[float, float]] = (),
 ) -> FloatArray:
-    """Times at which a recorder samples its sensors: t_k = start + offsets + k / rate, up to and including the end.
+    """Times at which a recorder samples its sensors, from start and offsets up to and including the end.
 
     sensors        : sensors of one recorder, with a common rate (1 Hz where they name none) and offset
     start_s, end_s : recorded span [s]
     rate_hz        : sample rate in place of that of the sensors [Hz]
     offset_s       : time of the first sample after the start, added to that of the sensors [s]
+    manoeuvres_s   : start and end of the manoeuvres, in which a recorder may be faster [s]
     returns        : (sample,) times [s]; empty where the first sample lies behind the end
     raises         : InputError where sensors of one recorder differ in rate or offset
 
-    Last sample at or before the end: k = floor((end - first) rate). Source: docs/theory/equations.md, section 5.
+    Source: docs/theory/equations.md, equation 33a.
     """
-    rates = {s.rate_hz or 1.0 for s in sensors} if rate_hz is None else {rate_hz}
+    rates = [s.rate_hz or USUAL_HZ for s in sensors] if rate_hz is None else [rate_hz]
     offsets = {s.sample_offset_s for s in sensors}
-    if len(rates) > 1 or len(offsets) > 1:
+    if any(rate != rates[0] for rate in rates) or len(offsets) > 1:
         names = ", ".join(s.name for s in sensors)
         raise InputError(f"{names}: sensors of one record need one rate_hz and one sample_offset_s; give them the same")
-    rate = rates.pop()
-    first = start_s + offsets.pop() + offset_s
-    # The 1e-9 keeps a last sample that falls on the end but for rounding.
-    count = int(np.floor((end_s - first) * rate + 1e-9)) + 1
-    return first + np.arange(max(count, 0)) / rate
+    return sample_instants(rates[0], start_s + offsets.pop() + offset_s, end_s, manoeuvres_s)
 
 
 def measure(

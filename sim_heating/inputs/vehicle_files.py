@@ -15,6 +15,7 @@ from sim_heating.base.files.roots import portable_name
 from sim_heating.heating.reference.recovery import RecoveryName
 from sim_heating.heating.surface_pressure import PressureModel
 from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition
+from sim_heating.inputs.pressure_transducer import PressureTransducer, transducer_problems
 from sim_heating.inputs.record import STAGNATION, ConstantHeat, LocalAngle, edge_problems, sweep_problems
 from sim_heating.thermal.stack import Material, Sensor, Stack, Table, sensor_problems, sensor_remarks
 
@@ -174,6 +175,7 @@ class ControlPointFile(Declared):
     note: str = ""
     stack: Stack
     sensor: list[Sensor] = Field(default=[])
+    transducer: list[PressureTransducer] = Field(default=[], description="of the pressure at the surface")
     limits: Limits
     pressure: PressureModel
     turbulent: Turbulent | None = None
@@ -191,6 +193,9 @@ class ControlPointFile(Declared):
     def _check(self) -> ControlPointFile:
         problems: list[tuple[Location, str]] = [
             (("sensor", *location), text) for location, text in sensor_problems(self.stack, self.sensor, {})
+        ]
+        problems += [
+            (("transducer", *location), text) for location, text in transducer_problems(self.transducer, self.sensor)
         ]
         problems += edge_problems(self.recovery, self.local_angle_deg)
         if self.limits.bondline_K is not None and len(self.stack.layer) == 1:

@@ -48,6 +48,9 @@ def fly_fmu(
     spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
     """`trajectory.fmu.flight.fly`, imported when it is used: FMPy and pint are slow to import."""
+    from sim_heating.trajectory.fmu import require_fmpy
+
+    require_fmpy()
     from sim_heating.trajectory.fmu import flight as fmu
 
     return fmu.fly(spec, vehicle, on_frame=on_frame, progress=progress)

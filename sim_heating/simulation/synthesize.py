@@ -25,6 +25,7 @@ from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import friction_rise
 from sim_heating.inputs.declared_effects import catalysis_keys, transition_keys, turbulent_recovery
 from sim_heating.inputs.points import conditions_at_point, intermittency_along, mean_condition
+from sim_heating.inputs.pressure_transducer import PressureTransducer, measure_pressure
 from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, record_directory, record_texts
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.sensor_model import SensorErrors, lags_s, lost_samples, measure, sample_times
@@ -74,12 +75,12 @@ def synthesize(
     measurements = scenario.declared.measurements
     points = [scenario.vehicle.control_point(name) for name in scenario.names]
     measurable = [(p, m, c) for p, m, c in zip(points, models, flights, strict=True) if p.sensors]
-    clocks = [_clock(scenario, p, flown) for p, _, _ in measurable]
+    clocks = [_clock(scenario, p, flight) for p, _, _ in measurable]
     # A clock skew moves the instants that are measured, not the times that are recorded.
     true_times = [_within(clock - measurements.clock_skew_s, flown) for clock in clocks]
     histories = march_points(
         [m.with_lags(lags_s(p.sensors, _faults(scenario))) for p, m, _ in measurable],
-        [c for _, _, c in measurable],
+        [_at_true_pressure(scenario, c) for _, _, c in measurable],
         extra_times_s=np.unique(np.concatenate(true_times)),
         longest_step_s=scenario.declared.heating.longest_step_s,
         tolerance_K=SYNTHESIS_TOLERANCE_K,
@@ -92,10 +93,22 @@ def synthesize(
     }
 
 
-def _clock(scenario: Scenario, point: ControlPoint, flown: Conditions) -> FloatArray:
-    measurements = scenario.declared.measurements
-    start, end = flown.time_s[0], flown.time_s[-1]
-    return sample_times(point.sensors, start, end, rate_hz=measurements.rate_hz, offset_s=measurements.sample_offset_s)
+def _at_true_pressure(scenario: Scenario, conditions: Conditions) -> Conditions:
+    """Conditions of a point with the surface pressure of the truth."""
+    factor = scenario.declared.truth.p_surface_factor
+    return conditions if factor == 1.0 else conditions.with_columns(p_surface_Pa=factor * conditions["p_surface_Pa"])
+
+
+def _clock(scenario: Scenario, point: ControlPoint, flight: Flight) -> FloatArray:
+    measurements, time_s = scenario.declared.measurements, flight.conditions.time_s
+    return sample_times(
+        point.sensors,
+        time_s[0],
+        time_s[-1],
+        rate_hz=measurements.rate_hz,
+        offset_s=measurements.sample_offset_s,
+        manoeuvres_s=flight.manoeuvres_s,
+    )
 
 
 def _with_axial_force(scenario: Scenario, flights: Sequence[Conditions]) -> list[Conditions]:
@@ -186,6 +199,11 @@ def _record(
                 f"{scenario.path}, [measurements]: skew, offset, gaps and losses leave no sample of {sensor.name} "
                 f"within the flight ({span}); change them"
             )
+    pressure = _at_true_pressure(scenario, conditions)["p_surface_Pa"]
+    at_surface = np.interp(clock - measurements.clock_skew_s, conditions.time_s, pressure)
+    for transducer in point.declared.transducer:
+        lost = lost_samples(clock, rng, measurements.lost_fraction, measurements.gaps_s)
+        columns[transducer.column] = np.where(lost, np.nan, measure_pressure(transducer, at_surface, rng))
     declared = declaration(scenario, point, point.sensors, windows)
     table, turbulent = ratio_table_of(point), turbulent_table_of(point)
     measured = flown_columns(_as_measured(scenario, point, conditions))
@@ -215,7 +233,7 @@ def point_declaration(vehicle: Vehicle, point: ControlPoint, title: str, sensors
         "measured": False,
         **_pedigree(vehicle, point),
         "thermocouples": {
-            "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in sensors]
+            "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in sensors],
         },
         "stack": point.construction.stack.model_dump(exclude_unset=True),
         "materials": {n: m.model_dump(exclude_unset=True) for n, m in point.construction.materials.items()},
@@ -268,7 +286,9 @@ def declaration(
     scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor], windows: Sequence[Window] = ()
 ) -> RecordFile:
     """Content of record.toml for a control point with these sensors, and the manoeuvres flown in these windows."""
-    declared = record_declaration(scenario.vehicle, point, sensors, scenario.title, scenario.flight, windows)
+    declared = record_declaration(
+        scenario.vehicle, point, sensors, scenario.title, scenario.flight, windows, point.declared.transducer
+    )
     return declared.model_copy(update={"conditions": declared.conditions.model_copy(update=_flight_pedigree(scenario))})
 
 
@@ -289,6 +309,7 @@ def record_declaration(
     title: str,
     flight: str,
     windows: Sequence[Window] = (),
+    transducers: Sequence[PressureTransducer] = (),
     *,
     measured: bool = False,
 ) -> RecordFile:
@@ -296,10 +317,13 @@ def record_declaration(
 
     title, flight : of what was flown
     windows       : of the manoeuvres that were flown
+    transducers   : of the pressure at its surface, those that are read
     measured      : whether the readings are a measurement
     """
     data = point_declaration(vehicle, point, f"{title}: {point.title}", sensors) | {"flight": flight}
     data["measured"] = measured
+    if transducers:
+        data["thermocouples"]["transducer"] = [t.model_dump(exclude_unset=True) for t in transducers]
     if windows:
         data["manoeuvre"] = [vars(window) for window in windows]
     heating = {
@@ -379,6 +403,7 @@ def _truth_text(scenario: Scenario, flown: Conditions) -> str:
     data = {
         "scenario": scenario.title,
         "parameters": dict(truth.parameters),
+        **({} if truth.p_surface_factor == 1.0 else {"p_surface_factor": truth.p_surface_factor}),
         "reference_condition": dict(zip(RATIO_VARIABLES, mean_condition(flown), strict=True)),
         "effect": [e.model_dump(exclude_none=True) for e in (*truth.effect, *scenario.declared.effect)],
         "measurements": measurements.model_dump(exclude_none=True),

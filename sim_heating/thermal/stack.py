@@ -23,6 +23,7 @@ from sim_heating.base.errors import tell
 from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule, check, suggestion
 from sim_heating.base.files.toml import remarks_of
 from sim_heating.base.limits import HOTTEST_K, QUANTITIES, usual_remark
+from sim_heating.thermal.sampling import RATE_TEXT, SampleRate
 
 Table = list[list[float]]
 """[[T_K, value], ...]"""
@@ -536,6 +537,8 @@ class Sensor(Declared):
     used : false: held back, never fitted, only reported
     """
 
+    quantities: ClassVar = {"rate_hz": ("time_s", "rate_hz")}
+
     name: str = Field(min_length=1)
     column: str = Field(min_length=1, description="column of the measurements, ending in _K")
     depth_m: float = Field(ge=0.0, description="depth from the outer surface in m")
@@ -554,7 +557,7 @@ class Sensor(Declared):
     )
     tau_s: float = Field(default=0.0, ge=0.0, description="time constant of a first-order lag in s")
     used: bool = True
-    rate_hz: float | None = Field(default=None, gt=0.0, description="samples a second")
+    rate_hz: SampleRate | None = Field(default=None, description=RATE_TEXT)
     sample_offset_s: float = Field(default=0.0, description="time of the first sample in s")
 
     def implausible(self) -> list[tuple[Location, str]]:

@@ -80,6 +80,11 @@ class Flight:
     windows: list[Window] = field(default_factory=list)
     frames: FloatArray = field(default_factory=lambda: np.zeros((0, len(FRAME))))
 
+    @property
+    def manoeuvres_s(self) -> list[tuple[float, float]]:
+        """Start and end of each manoeuvre [s]."""
+        return [(w.start_s, w.end_s) for w in self.windows]
+
     def at_frame_rate(self) -> Conditions:
         """The columns of conditions.FRAME at the samples, and within manoeuvres at every frame of the simulation.
 

@@ -11,13 +11,14 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.report.figure import mark_beyond, new_figure
-from sim_heating.campaign.figures.flown import POPU, FlownData
+from sim_heating.campaign.figures.flown import POPU, FlownData, LeftOut
 from sim_heating.campaign.figures.histories import axial_step
 from sim_heating.campaign.figures.paper import DRAWINGS, PaperFigures, draw_figures, write_figures
 from sim_heating.campaign.figures.segments import reynolds_trend
 from sim_heating.campaign.flights import CampaignFlight, read_flights
 from sim_heating.cli import main
 from sim_heating.estimation.report.plots import fit_figure
+from sim_heating.inputs.record import load_record
 from sim_heating.simulation.predict import predict
 from tests.support.figures import named_lines, named_lines_out_of_sight, unmarked_points
 from tests.support.gliding import gliding
@@ -213,6 +214,13 @@ def test_figures_of_a_record_that_states_no_manoeuvre(tmp_path: Path, capsys: py
     assert main(arguments) == 0
     assert "Figure 5 is left out: no pushover-pullup near Mach 20" in capsys.readouterr().out
     assert sorted(p.name for p in out.glob("*.png")) == ["figure_01.png", "figure_02.png", "figure_03.png"]
+
+
+def test_a_record_that_names_no_vehicle_says_so_in_its_figures() -> None:
+    record = load_record(PRACTICE / "p06")
+    bare = replace(record, declared=record.declared.model_copy(update={"vehicle": "", "flight": "F1"}))
+    with pytest.raises(LeftOut, match=r"the records of F1 name no vehicle; add `vehicle` to one's record\.toml"):
+        _ = FlownData([CampaignFlight("F1", {"LS": bare}, ())]).vehicle
 
 
 def test_points_beyond_the_axes_are_marked_at_their_edge() -> None:

@@ -77,5 +77,5 @@ def test_a_check_is_of_a_record_and_knows_an_error() -> None:
     keys = {"name": "a", "column": "a_K", "depth_m": 0.0, "ambient_check": CHECK}
     with pytest.raises(InputError, match="ambient_check"):
         check(keys, Sensor, "control_points/p.toml")
-    with pytest.raises(InputError, match="without an error; add `sigma_K`"):
+    with pytest.raises(InputError, match="states no error, and would fix the bias exactly; add `sigma_K`"):
         check(keys | {"ambient_check": CHECK | {"sigma_K": 0.0}}, RecordedSensor, "record.toml")

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.parameters import CLOCK_SKEW, Parameter
+from sim_heating.base.parameters import CLOCK_SKEW, PRESSURE_FACTOR, Parameter
 from sim_heating.cli import main
 from sim_heating.estimation.design.check import RepeatedFits, repeated_fits
 from sim_heating.estimation.design.credibility import credibility_of_design
 from sim_heating.estimation.design.information import (
-    PRESSURE,
     Experiment,
     PredictedChannel,
     design_criterion,
@@ -25,9 +24,11 @@ from sim_heating.estimation.design.information import (
     sensitivity_to_effort,
 )
 from sim_heating.estimation.design.instruments import instrumentation
-from sim_heating.estimation.design.planned_flight import PlannedFlight, Planner
+from sim_heating.estimation.design.locations import locations
+from sim_heating.estimation.design.planned_flight import Instruments, PlannedFlight, Planner
 from sim_heating.estimation.design.search import DesignSearch
 from sim_heating.inputs.scenario import load_scenario, with_design
+from sim_heating.thermal.sampling import RateInManoeuvres
 from sim_heating.thermal.stack import Sensor
 from tests.support.browser import assert_fits, needs_browser
 from tests.support.kills import inputs
@@ -37,7 +38,7 @@ from tests.support.walls import practice_record
 SCENARIO = SCENARIOS / "design_popu.toml"
 D_ALPHA = "ratio.d_alpha"
 COATING = "stack.coating.thickness_factor"
-NAMES = (D_ALPHA, "ratio.scale", COATING, CLOCK_SKEW.name, PRESSURE.name)
+NAMES = (D_ALPHA, "ratio.scale", COATING, CLOCK_SKEW.name, PRESSURE_FACTOR.name)
 
 
 def planner_of(**keys: object) -> Planner:
@@ -145,9 +146,46 @@ def test_longer_words_faster_samples_and_better_clocks_never_hurt(planned_experi
     assert bound(planned_experiment.with_priors({CLOCK_SKEW.name: 0.1})) < bound(
         planned_experiment.with_priors({CLOCK_SKEW.name: 0.5})
     )
-    assert bound(planned_experiment.with_priors({PRESSURE.name: 0.02})) <= bound(planned_experiment)
+    assert bound(planned_experiment.with_priors({PRESSURE_FACTOR.name: 0.02})) <= bound(planned_experiment)
     for channel in planned_experiment.channels:
         assert bound(planned_experiment.without([channel.sensor.name])) >= bound(planned_experiment)
+
+
+def test_ten_hertz_in_the_manoeuvre_alone_lie_between_one_and_ten(planner: Planner, planned: PlannedFlight) -> None:
+    rates = (1.0, RateInManoeuvres(manoeuvres_hz=10.0), 10.0)
+    sensors = planner.instruments.sensors
+    bounds = [planner.experiment(planned, NAMES, {}, Instruments(sensors, r)).sigma((D_ALPHA,))[0] for r in rates]
+    assert bounds[0] > 1.1 * bounds[1] > 1.1 * bounds[2]
+
+
+def test_locations_are_ranked_by_their_bounds_over_their_ratios(planner: Planner, planned: PlannedFlight) -> None:
+    """At the design's own point the value is 1; a point without a thermocouple gets one below its coating."""
+    names = ("V09T9527", "LOWER_MID", "POD_LRSI")
+    both = Planner(replace(planner.scenario, names=names))
+    flown = both.fly(planned.manoeuvres)
+    ranked = locations(both, flown)
+    assert [at.over_declared for at in ranked] == sorted(at.over_declared for at in ranked)
+    by_name = {at.control_point: at for at in ranked}
+    assert set(by_name) == set(names)
+    assert by_name["V09T9527"].over_declared == pytest.approx(1.0)
+    for at in ranked:
+        peak_K = both.limit(f"{at.control_point} surface_K") - flown.margins[f"{at.control_point} surface_K"]
+        limit_K = both.scenario.vehicle.control_point(at.control_point).limits.surface_K
+        assert at.surface_margin_K == pytest.approx(limit_K - peak_K)
+    assert locations(planner, planned) == []
+
+
+def test_a_location_without_a_thermocouple_has_one_below_its_coating(planner: Planner, planned: PlannedFlight) -> None:
+    vehicle = planner.scenario.vehicle
+    bare = replace(vehicle.control_point("LOWER_MID"), sensors=())
+    points = {**vehicle.control_points, "LOWER_MID": bare}
+    without = replace(vehicle, control_points=points)
+    both = Planner(replace(planner.scenario, names=("V09T9527", "LOWER_MID"), vehicle=without))
+    at = {a.control_point: a for a in locations(both, both.fly(planned.manoeuvres))}["LOWER_MID"]
+    assert not at.is_installed
+    assert at.sensor.depth_m == bare.construction.stack.layer[0].thickness_m
+    assert at.sensor.range_K == [255.0, bare.limits.surface_K]
+    assert np.all(np.isfinite(at.sigma))
 
 
 def test_stated_instruments_take_the_place_of_those_of_the_program(planned: PlannedFlight) -> None:
@@ -183,7 +221,7 @@ def test_more_pressure_cools_the_coating_and_warms_the_tile(planner, planned):
     catalytic = replace(record, declared=record.declared.model_copy(update={"heating": heating}))
     for wall, coating_cools in ((catalytic, True), (record, False)):
         found = experiment(wall, NAMES, start=start)
-        k = found.names.index(PRESSURE.name)
+        k = found.names.index(PRESSURE_FACTOR.name)
         outermost, inch_deep = found.channels[0].jacobian[:, k], found.channels[3].jacobian[:, k]
         assert np.all(outermost < 0.0) == coating_cools
         assert np.all(inch_deep > 0.0)
@@ -248,6 +286,11 @@ def test_limits_that_no_design_keeps_are_an_error():
 def test_a_manoeuvre_that_does_not_identify_a_parameter_is_refused():
     with pytest.raises(InputError, match=r"ratio\.d_bodyflap: bodyflap_deg is constant"):
         DesignSearch(planner_of(parameters=["ratio.d_bodyflap"]))
+
+
+def test_a_number_of_flights_is_listed_once() -> None:
+    with pytest.raises(InputError, match=r"`flights`: 1 is repeated; list each number of flights once"):
+        planner_of(flights=[1] * 1000)
 
 
 @pytest.mark.parametrize(

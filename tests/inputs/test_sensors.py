@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.files import check
 from sim_heating.inputs.sensor_model import (
     SensorErrors,
     indicated_temperature,
@@ -18,6 +19,7 @@ from sim_heating.inputs.sensor_model import (
     quantise,
     sample_times,
 )
+from sim_heating.thermal.sampling import RateInManoeuvres, sample_instants
 from sim_heating.thermal.stack import Sensor
 
 approx = pytest.approx
@@ -106,3 +108,52 @@ def test_samples_begin_at_the_offset_and_go_to_the_end() -> None:
 def test_sensors_of_one_recorder_must_share_a_rate() -> None:
     with pytest.raises(InputError, match="one rate_hz"):
         sample_times([sensor(rate_hz=1.0), sensor(rate_hz=2.0)], 0.0, 3.0)
+
+
+def test_a_schedule_of_rates_holds_each_from_its_time_on() -> None:
+    changing = sensor(rate_hz=[[0.0, 1.0], [2.0, 4.0], [3.0, 0.5]])
+    expected = [0.0, 1.0, 2.0, 2.25, 2.5, 2.75, 3.0, 5.0, 7.0]
+    np.testing.assert_allclose(sample_times([changing], 0.0, 8.0), expected)
+
+
+def test_a_recorder_is_faster_from_start_to_end_of_a_manoeuvre() -> None:
+    rate = {"manoeuvres_hz": 2.0, "elsewhere_hz": 1.0}
+    times = sample_times([sensor(rate_hz=rate)], 0.0, 6.0, manoeuvres_s=[(2.0, 4.0)])
+    np.testing.assert_allclose(times, [0.0, 1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0])
+    np.testing.assert_allclose(sample_times([sensor(rate_hz=rate)], 0.0, 2.0), [0.0, 1.0, 2.0])
+
+
+RATES_HZ = st.floats(0.1, 50.0)
+
+
+@given(st.floats(-5.0, 5.0), st.lists(st.tuples(st.floats(0.1, 9.0), RATES_HZ), min_size=1, max_size=5))
+def test_the_integral_of_the_rate_counts_the_samples(first_s: float, rows: list[tuple[float, float]]) -> None:
+    """By a sum over the spans between the changes, of which the samples know nothing."""
+    starts = np.cumsum([length for length, _ in rows])
+    rates = np.array([hz for _, hz in rows])
+    times = sample_instants([[float(t), hz] for t, (_, hz) in zip(starts, rows, strict=True)], first_s, 40.0)
+    ends = np.append(starts[1:], np.inf)
+
+    def count(t: float) -> float:
+        before = rates[0] * (min(t, starts[0]) - first_s) if first_s < starts[0] else 0.0
+        return before + float(np.sum(rates * np.clip(np.minimum(ends, t) - np.maximum(starts, first_s), 0.0, None)))
+
+    assert [count(t) for t in times] == approx(list(range(len(times))), abs=1e-6)
+    assert count(40.0) - (len(times) - 1) < 1.0 + 1e-6
+
+
+def test_rows_of_a_schedule_are_refused_by_their_number() -> None:
+    keys = {"name": "s", "column": "s_K", "depth_m": 0.0}
+    for rate_hz, problem in (
+        ([[0.0, 1.0], [0.0, 2.0]], "`rate_hz`, row 2, item 1: 0 does not come after 0"),
+        ([[0.0, 1.0, 3.0]], "`rate_hz`, row 1: "),
+        ([[0.0, 0.0]], "`rate_hz`, row 1, item 2: 0 is not a sample rate"),
+        ({"manoeuvres_hz": 0.0}, "`manoeuvres_hz`: 0.0 must be above 0"),
+        (0.0, "`rate_hz`: 0.0 must be above 0"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            check(keys | {"rate_hz": rate_hz}, Sensor, "point.toml")
+
+
+def test_the_words_of_a_rate_in_manoeuvres_state_both() -> None:
+    assert str(RateInManoeuvres(manoeuvres_hz=10.0)) == "10 Hz in manoeuvres, 1 Hz elsewhere"

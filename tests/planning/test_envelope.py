@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import InputError
 from sim_heating.base.files import files_written, read_csv_columns, read_json
 from sim_heating.cli import main
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
@@ -293,6 +294,12 @@ control_points = ["V07T9975"]
 kind = "popu"
 at_velocity_m_s = 6400.0
 """
+
+
+def test_a_candidate_flies_each_manoeuvre_once(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(STUDY + 1000 * STUDY[STUDY.index("[[next_flight.manoeuvre.flown]]") :])
+    with pytest.raises(InputError, match=r"`?flown.* 2: is that of number 1; list each manoeuvre once"):
+        load_study(tmp_path / "study.toml")
 
 
 @pytest.fixture(scope="module")

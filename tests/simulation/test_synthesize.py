@@ -112,6 +112,16 @@ def test_a_positive_skew_records_what_was_true_earlier(tmp_path: Path, plain: di
     assert np.all(np.isnan(recorded[:3]))  # no temperature exists before the flight
 
 
+def test_a_recorder_that_is_faster_in_manoeuvres_has_its_samples_there(tmp_path: Path) -> None:
+    rate = "[measurements]\nrate_hz = { manoeuvres_hz = 5.0, elsewhere_hz = 0.5 }\n"
+    record = synthesize(scenario(tmp_path, rate, **PLAIN))[PLUG]
+    (flown,) = record.declared.manoeuvre
+    inside = (record.time_s >= flown.start_s) & (record.time_s < flown.end_s)
+    assert np.count_nonzero(inside) == approx(5.0 * (flown.end_s - flown.start_s), abs=1.0)
+    assert np.count_nonzero(~inside) == approx(0.5 * (180.0 - (flown.end_s - flown.start_s)), abs=2.0)
+    assert np.max(np.abs(predict(record).residual_K)) < STEP_ERROR_K
+
+
 def test_a_skew_between_samples_is_stepped_to_and_not_interpolated(tmp_path: Path) -> None:
     early = synthesize(scenario(tmp_path, "[measurements]\nclock_skew_s = -0.4\n", **PLAIN))[PLUG]
     fine = synthesize(scenario(tmp_path, "[measurements]\nsample_offset_s = 0.4\n", **PLAIN))[PLUG]

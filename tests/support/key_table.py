@@ -82,6 +82,13 @@ _SHOWN = {
         "InstrumentSet.bits InstrumentSet.name InstrumentSet.prior InstrumentSet.range_K InstrumentSet.rate_hz "
         "InstrumentSet.sensor Design.instruments"
     ),
+    "tests/inputs/test_sensors.py": "RateInManoeuvres.elsewhere_hz RateInManoeuvres.manoeuvres_hz",
+    "tests/estimation/test_pressure_transducer.py": (
+        "PressureTransducer.bias_sigma_Pa PressureTransducer.bits PressureTransducer.column "
+        "PressureTransducer.gain_sigma PressureTransducer.name PressureTransducer.noise_sigma_Pa "
+        "PressureTransducer.range_Pa PressureTransducer.used Thermocouples.transducer ControlPointFile.transducer "
+        "Truth.p_surface_factor InstrumentSet.transducer"
+    ),
     "tests/estimation/test_growing_noise.py": "Sensor.noise_per_K",
     "tests/estimation/test_ambient_check.py": (
         "AmbientCheck.T_K AmbientCheck.reading_K AmbientCheck.sigma_K RecordedSensor.ambient_check "

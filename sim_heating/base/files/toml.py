@@ -114,7 +114,7 @@ class LocatedError(ValueError):
 
 def _quantity_problems(model: Declared, name: str, value: Any) -> list[tuple[Location, str]]:
     """Problems of the numbers of one field: the place below the field, and the rule of the quantity."""
-    declared = model.quantities.get(name, name)
+    declared = _declared_quantity(model, name, value)
     if declared is None:
         return []
     problems = _judged_numbers(model, name, value, lambda key, v: _range_problems(quantity(key), v))
@@ -137,7 +137,7 @@ def _judged_numbers(
     """
     if value is None or isinstance(value, (str, bool)):
         return []
-    declared = model.quantities.get(name, name)
+    declared = _declared_quantity(model, name, value)
     if isinstance(value, Mapping):
         return [((key, *below), text) for key, v in value.items() for below, text in judge(key, v)]
     if declared is None:
@@ -151,6 +151,12 @@ def _judged_numbers(
         if column is not None
         for _, text in judge(_meant(model, column), number)
     ]
+
+
+def _declared_quantity(model: Declared, name: str, value: Any) -> str | tuple[str | None, ...] | None:
+    """What `quantities` states of a field: of one number in place of a list of rows, that of their last column."""
+    declared = model.quantities.get(name, name)
+    return declared[-1] if isinstance(declared, tuple) and isinstance(value, (int, float)) else declared
 
 
 def _unusual_numbers(name: str, value: Any) -> list[tuple[Location, str]]:

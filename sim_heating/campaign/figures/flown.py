@@ -325,6 +325,8 @@ class FlownData:
         if flight.scenario is not None:
             return flight.scenario.vehicle
         name = next(iter(flight.records.values())).declared.vehicle
+        if not name:
+            raise LeftOut(f"the records of {flight.name} name no vehicle; add `vehicle` to one's record.toml")
         try:
             return load_vehicle(name)
         except InputError as error:

@@ -53,7 +53,7 @@ def repeated_fits(
 ) -> RepeatedFits:
     """Simulate and fit the readings of a record repeatedly, each time with another truth.
 
-    experiment  : unknowns, without PRESSURE, and their priors
+    experiment  : unknowns, without the factor on the surface pressure, and their priors
     effects     : in addition to the declared model;  start : of the march
     reference   : values of ratio variables that derivatives are about ([deg], [-])
     repetitions : number of fits;  seed : of the random numbers

@@ -24,26 +24,21 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.parameters import RECORD_PARAMETERS, SENSOR_PREFIX, Parameter
+from sim_heating.base.parameters import PRESSURE_FACTOR, RECORD_PARAMETERS, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.inference.identifiability import covariance
 from sim_heating.estimation.inference.likelihood import expected_information
 from sim_heating.estimation.inference.observability import variables_of
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
-from sim_heating.estimation.record_fit import PredictedSamples, Start
+from sim_heating.estimation.record_fit import Start
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.record import Record
 from sim_heating.thermal.stack import Sensor
 
-PRESSURE = Parameter(
-    "conditions.p_surface_factor", "1", 1.0, 0.3, 0.1, 10.0, "surface pressure over the one that is computed"
-)
-"""Factor on the surface pressure; its prior of 30 % is that without a pressure measurement at the control point."""
-PRESSURE_STEP = 0.05
-"""Relative step to either side at which the pressure is marched for its sensitivity."""
 LEVELS = 8
 """Number of levels between two codes of a word over which an unknown temperature is averaged."""
-PRIVATE = ("initial.", *RECORD_PARAMETERS, SENSOR_PREFIX)
-"""Prefixes of the names of unknowns that one flight does not share with another."""
+PRIVATE = ("initial.", *(n for n in RECORD_PARAMETERS if n != PRESSURE_FACTOR.name), SENSOR_PREFIX)
+"""Prefixes of the names of unknowns that one flight does not share with another; the error of a computed pressure is
+that of its model, and comes again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +217,7 @@ def experiment(
 ) -> Experiment:
     """Expected information of a record's flight conditions, sensors and sample times; its readings are not used.
 
-    names     : dotted names of the unknowns, PRESSURE's included
+    names     : dotted names of the unknowns
     effects   : in addition to the declared model
     start     : start of the march; its unknowns are added to `names`
     reference : values of ratio variables that derivatives are about ([deg], [-])
@@ -232,44 +227,14 @@ def experiment(
     Source: docs/how_to/manoeuvre_design.md, equations 1, 2 and 4.
     """
     condition = joint_reference([record], reference)
-    marched = [n for n in names if n != PRESSURE.name]
-    problem = FitProblem([record], marched, condition, FitOptions(effects=effects, starts=[start]))
+    problem = FitProblem([record], names, condition, FitOptions(effects=effects, starts=[start]))
     unknowns = tuple(replace(u.parameter, name=u.label) for u in problem.unknowns)
-    values = np.array([p.value for p in unknowns])
-    predicted = problem.samples(values)
-    columns = [s.jacobian for s in predicted]
-    if PRESSURE.name in names:
-        unknowns = (*unknowns, PRESSURE)
-        slopes = _pressure_slopes(record, condition, effects, start)
-        # an unknown skew leaves out samples near the ends of the conditions
-        columns = [
-            np.column_stack([s.jacobian, slope[np.isin(time_s, s.time_s)]])
-            for s, (time_s, slope) in zip(predicted, slopes, strict=True)
-        ]
-    pairs = zip(predicted, columns, strict=True)
+    predicted = problem.samples(np.array([p.value for p in unknowns]))
     channels = [
-        PredictedChannel(s.channel.sensor, s.time_s, s.mean_K, c, s.channel.noise_K(s.sigma_K)) for s, c in pairs
+        PredictedChannel(s.channel.sensor, s.time_s, s.mean_K, s.jacobian, s.channel.noise_K(s.sigma_K))
+        for s in predicted
     ]
     return Experiment(unknowns, tuple(channels))
-
-
-def _pressure_slopes(
-    record: Record, condition: tuple[float, ...], effects: Sequence[EffectUse], start: Start | None
-) -> list[tuple[FloatArray, FloatArray]]:
-    """By channel, (sample,) times [s] and sensitivity of the indications [K] to the factor on the surface pressure.
-
-    Source: docs/how_to/manoeuvre_design.md, equation 4.
-    """
-    # the start is fixed: only the march from it on depends on the pressure
-    fixed_start = None if start is None else replace(start, columns=start.columns[:, :0], unknowns=())
-    sides: list[list[PredictedSamples]] = []
-    for factor in (1.0 + PRESSURE_STEP, 1.0 - PRESSURE_STEP):
-        pressure = factor * record.conditions["p_surface_Pa"]
-        changed = replace(record, conditions=record.conditions.with_columns(p_surface_Pa=pressure))
-        sides.append(
-            FitProblem([changed], [], condition, FitOptions(effects=effects, starts=[fixed_start])).samples(np.zeros(0))
-        )
-    return [(high.time_s, (high.mean_K - low.mean_K) / (2.0 * PRESSURE_STEP)) for high, low in zip(*sides, strict=True)]
 
 
 def sensitivity_to_effort(

@@ -6,13 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.parameters import CLOCK_SKEW
-from sim_heating.estimation.design.information import PRESSURE, Experiment
+from sim_heating.base.parameters import CLOCK_SKEW, PRESSURE_FACTOR
+from sim_heating.estimation.design.information import Experiment
 from sim_heating.estimation.design.planned_flight import Instruments, PlannedFlight, Planner
+from sim_heating.thermal.sampling import RateInManoeuvres
 from sim_heating.thermal.stack import Sensor, Stack
 
 BITS = (8, 10, 12)
-RATES_HZ = (1.0, 5.0, 10.0)
+RATES_HZ = (1.0, 5.0, RateInManoeuvres(manoeuvres_hz=10.0, elsewhere_hz=1.0), 10.0)
 CLOCKS_S = (1.0, 0.5, 0.1, 0.01)
 """Standard deviations of the clock's skew."""
 PRESSURE_KNOWN = 0.02
@@ -65,8 +66,12 @@ def _variants_without_march(declared: Experiment) -> Iterator[tuple[str, str, Ex
     if CLOCK_SKEW.name in declared.names:
         for sigma in CLOCKS_S:
             yield "clock", f"within {sigma:g} s", declared.with_priors({CLOCK_SKEW.name: sigma})
-    if PRESSURE.name in declared.names:
-        yield "pressure", f"measured to {PRESSURE_KNOWN:.0%}", declared.with_priors({PRESSURE.name: PRESSURE_KNOWN})
+    if PRESSURE_FACTOR.name in declared.names:
+        yield (
+            "pressure",
+            f"measured to {PRESSURE_KNOWN:.0%}",
+            declared.with_priors({PRESSURE_FACTOR.name: PRESSURE_KNOWN}),
+        )
     sensors = [c.sensor.name for c in declared.channels]
     for name in sensors if len(sensors) > 1 else []:
         yield "without", name, declared.without([name])
@@ -81,7 +86,8 @@ def _variants_with_march(
     """Changes that need another march: sample rates, and thermocouples at other depths."""
     sensors = planner.instruments.sensors
     for rate in RATES_HZ:
-        yield "rate", f"{rate:g} Hz", planner.experiment(flown, names, priors, Instruments(sensors, rate))
+        change = str(rate) if isinstance(rate, RateInManoeuvres) else f"{rate:g} Hz"
+        yield "rate", change, planner.experiment(flown, names, priors, Instruments(sensors, rate))
     for position, extra in extra_sensors(planner.point.construction.stack, sensors):
         instruments = Instruments((*sensors, extra), planner.instruments.rate_hz)
         yield "extra sensor", position, planner.experiment(flown, names, priors, instruments)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,15 +12,17 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import display_path
+from sim_heating.base.files import display_path, raise_problems
 from sim_heating.base.kernels.lag import lag_columns
-from sim_heating.base.parameters import CLOCK_SKEW, RECORD_PARAMETERS, SENSOR_PREFIX, SHORT_NAMES
-from sim_heating.estimation.design.information import PRESSURE, Experiment, experiment
+from sim_heating.base.parameters import CLOCK_SKEW, PRESSURE_FACTOR, RECORD_PARAMETERS, SENSOR_PREFIX, SHORT_NAMES
+from sim_heating.estimation.design.information import Experiment, experiment
 from sim_heating.estimation.inference.observability import constant_variables
 from sim_heating.estimation.record_fit import LONGEST_STEP_S, SKEW_SPAN_S, Start, march_times
 from sim_heating.estimation.starts import free_start
+from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, node_weights
 from sim_heating.inputs.points import conditions_behind_walls, excess_behind_interface, point_of_vehicle
+from sim_heating.inputs.pressure_transducer import PressureTransducer, transducer_problems
 from sim_heating.inputs.record import Record, Segments, make_record
 from sim_heating.inputs.scenario import Design, InstrumentSet, Scenario
 from sim_heating.inputs.sensor_model import indicated_temperature, sample_times
@@ -30,6 +33,7 @@ from sim_heating.march.linearised import LinearMarch, Track
 from sim_heating.march.mesh_choice import meshes_on_flights, pack
 from sim_heating.simulation.run import SOURCES, models_of
 from sim_heating.simulation.synthesize import declaration, flown_columns, ratio_table_of, turbulent_table_of
+from sim_heating.thermal.sampling import Rate
 from sim_heating.thermal.stack import Sensor, sensor_problems
 from sim_heating.trajectory.flight import Flight, Window
 from sim_heating.trajectory.spec import Manoeuvre
@@ -44,12 +48,13 @@ ESTIMATED_BY = {
     "jet-firing": (),
 }
 """Kind of manoeuvre -> parameters that it is flown to estimate."""
+COATING = "stack.coating.thickness_factor"
 NUISANCE = (
     "ratio.scale",
-    "stack.coating.thickness_factor",
+    COATING,
     "stack.rsi.conductivity_factor",
     CLOCK_SKEW.name,
-    PRESSURE.name,
+    PRESSURE_FACTOR.name,
 )
 """Unknowns in addition to these and to the derivatives of the point's ratio table."""
 # the point mass is enough to rank designs: flown in JSBSim, the best one has a bound within half a per cent
@@ -62,10 +67,11 @@ ALLOWED_RISE_K = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Instruments:
-    """Thermocouples, and their sample rate [Hz]; None for the sensors' own."""
+    """Thermocouples, their sample rate [Hz], None for the sensors' own, and transducers of the surface pressure."""
 
     sensors: tuple[Sensor, ...]
-    rate_hz: float | None = None
+    rate_hz: Rate | None = None
+    transducers: tuple[PressureTransducer, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,16 +119,27 @@ class Planner:
             raise InputError(f"{scenario.path}: no manoeuvre to design; add a [[trajectory.manoeuvre]]")
         self.scenario = scenario
         self.design: Design = scenario.declared.design or Design()
-        self.point = _point(scenario, self.design)
-        self.effects = (*self.point.effects, *scenario.effects(self.point.name))
+        self._look_at(_point(scenario, self.design))
         self.targets = _target_parameters(scenario, self.design)
-        self.instruments = Instruments(self.point.sensors, scenario.declared.measurements.rate_hz)
         self.compared = tuple((of_set, self._instruments(of_set)) for of_set in self.design.instruments)
         named = {"parameters": self.targets, "nuisance": self.design.nuisance or (), "prior": self.design.prior}
         named |= {f"instruments `{i.name}`, prior": i.prior for i in self.design.instruments}
         for key, names in named.items():
             with error_context(f"{display_path(scenario.path)}, [design], {key}"):
                 self._check_names(tuple(names))
+
+    def _look_at(self, point: ControlPoint) -> None:
+        """Take a control point as the one whose thermocouples are read."""
+        self.point = point
+        self.effects = (*point.effects, *self.scenario.effects(point.name))
+        rate_hz, transducers = self.scenario.declared.measurements.rate_hz, tuple(point.declared.transducer)
+        self.instruments = Instruments(point.sensors, rate_hz, transducers)
+
+    def at(self, point: ControlPoint) -> Planner:
+        """The planner with another control point whose thermocouples are read, and the same flights."""
+        other = copy(self)
+        other._look_at(point)
+        return other
 
     def _instruments(self, of_set: InstrumentSet) -> Instruments:
         """The instruments of a set at the control point.
@@ -131,15 +148,20 @@ class Planner:
         """
         where = f"{display_path(self.scenario.path)}, [[design.instruments]] {of_set.name}"
         sensors, construction = of_set.sensors(self.point.sensors), self.point.construction
-        for (i, key), text in sensor_problems(construction.stack, sensors, construction.materials):
-            raise InputError(f"{where}: `sensor[{i}].{key}`: {text}")
-        return Instruments(sensors, of_set.rate_hz or self.instruments.rate_hz)
+        problems = [
+            f"`sensor[{i}].{key}`: {text}"
+            for (i, key), text in sensor_problems(construction.stack, sensors, construction.materials)
+        ]
+        transducers = self.instruments.transducers if of_set.transducer is None else tuple(of_set.transducer)
+        problems += [f"`transducer[{i}].{key}`: {text}" for (i, key), text in transducer_problems(transducers, sensors)]
+        raise_problems([f"{where}: {line}" for line in problems])
+        return Instruments(sensors, of_set.rate_hz or self.instruments.rate_hz, transducers)
 
     def _check_names(self, names: Sequence[str]) -> None:
         """Check that names are those of unknowns of a design."""
         model = point_of_vehicle(self.scenario.vehicle, self.point, effects=self.scenario.effects(self.point.name))
         for name in names:
-            if name not in (*RECORD_PARAMETERS, PRESSURE.name) and not name.startswith((SENSOR_PREFIX, "initial.")):
+            if name not in RECORD_PARAMETERS and not name.startswith((SENSOR_PREFIX, "initial.")):
                 model.definition(name)
 
     # Flight ----------------------------------------------------------------------------------------------------------
@@ -162,12 +184,11 @@ class Planner:
         """Fly manoeuvres with the 3-DOF entry, or, not `searched`, with the scenario's own source."""
         flown = tuple(manoeuvres)
         flight = self._fly(flown, searched)
-        return PlannedFlight(
-            flown,
-            flight,
-            conditions_behind_walls(self.scenario.vehicle, [self.point], flight.conditions)[0],
-            self._margins(flown, flight),
-        )
+        return PlannedFlight(flown, flight, self.conditions_of(flight), self._margins(flown, flight))
+
+    def conditions_of(self, flight: Flight) -> Conditions:
+        """Conditions of a flight at the control point."""
+        return conditions_behind_walls(self.scenario.vehicle, [self.point], flight.conditions)[0]
 
     def interfaces(self, flight: Flight) -> list[dict[str, object]]:
         """Interfaces that the scenario's control points declare, with the largest predicted excess of heating [-]
@@ -264,7 +285,7 @@ class Planner:
     # Information -----------------------------------------------------------------------------------------------------
 
     def names(self, planned: PlannedFlight) -> tuple[str, ...]:
-        """Names of the unknowns: the wanted parameters, and the nuisances that the planned flight affects."""
+        """Names of the unknowns: the wanted parameters, and the nuisances that the point has and the flight affects."""
         if self.design.nuisance is not None:
             return tuple(dict.fromkeys((*self.targets, *self.design.nuisance)))
         assert self.point.ratio is not None
@@ -272,7 +293,8 @@ class Planner:
             f"ratio.d_{s}" for s, axis in zip(SHORT_NAMES, self.point.ratio.axes, strict=True) if len(axis) > 1
         ]
         constant = constant_variables(derivatives, [self.record(planned, self.instruments)[0]])
-        return tuple(dict.fromkeys((*self.targets, *(n for n in derivatives if n not in constant), *NUISANCE)))
+        nuisance = [n for n in NUISANCE if n != COATING or len(self.point.construction.stack.layer) > 1]
+        return tuple(dict.fromkeys((*self.targets, *(n for n in derivatives if n not in constant), *nuisance)))
 
     def priors(self, names: Sequence[str], planned: PlannedFlight) -> dict[str, float]:
         """Standard deviations before the flight: as declared, and of unwanted derivatives those of the table."""
@@ -289,11 +311,15 @@ class Planner:
         ratio = self.point.ratio
         if ratio.sigma is None:
             return {}
-        sigma = float((node_weights(ratio.axes, condition[np.newaxis]) @ ratio.sigma.ravel())[0])
+        sigma = _at_condition(ratio, ratio.sigma, condition)
         return {
             f"ratio.d_{short}": np.sqrt(12.0) * sigma / CORRELATION_LENGTH[v]
             for short, v in zip(SHORT_NAMES, RATIO_VARIABLES, strict=True)
         }
+
+    def mean_ratio(self, planned: PlannedFlight) -> float:
+        """Tabulated heating ratio [-] at the mean condition over the times that are read."""
+        return _at_condition(self.point.ratio, self.point.ratio.ratio, _mean_condition(planned, self.design))
 
     def record(self, planned: PlannedFlight, instruments: Instruments) -> tuple[Record, Start | None]:
         """The record of a planned flight, with the model's temperatures as readings, and the start of its march."""
@@ -302,12 +328,20 @@ class Planner:
         first, last = spans[0][0], max(end for _, end in spans)
         # earlier than the first reading by the largest skew: shifted readings stay within the march
         begin = max(flown.time_s[0], first - SKEW_SPAN_S) if design.start == "profile" else float(flown.time_s[0])
-        clock = sample_times(instruments.sensors, flown.time_s[0], flown.time_s[-1], rate_hz=instruments.rate_hz)
+        clock = sample_times(
+            instruments.sensors,
+            flown.time_s[0],
+            flown.time_s[-1],
+            rate_hz=instruments.rate_hz,
+            manoeuvres_s=planned.flight.manoeuvres_s,
+        )
         clock = clock[(clock >= first) & (clock <= last)]
         start, read = self._marched(flown, instruments.sensors, begin, clock)
-        declared = declaration(self.scenario, self.point, instruments.sensors)
+        measured = self.point.declared.model_copy(update={"transducer": [*instruments.transducers]})
+        declared = declaration(self.scenario, replace(self.point, declared=measured), instruments.sensors)
         declared = declared.model_copy(update={"segments": Segments(fit=[list(s) for s in spans])})
         columns = {s.column: indicated_temperature(s, T) for s, T in zip(instruments.sensors, read, strict=True)}
+        columns |= {t.column: np.interp(clock, flown.time_s, flown["p_surface_Pa"]) for t in instruments.transducers}
         tables = ratio_table_of(self.point), turbulent_table_of(self.point)
         record = make_record(
             declared, flown_columns(flown), {"time_s": clock, **columns}, tables[0], self.point.name, tables[1]
@@ -365,6 +399,11 @@ def _span(window: Window, flown: Conditions, design: Design) -> tuple[float, flo
     """Times [s] that are read around a manoeuvre."""
     start = max(window.start_s - design.before_s, flown.time_s[0])
     return float(start), float(min(window.end_s + design.after_s, flown.time_s[-1]))
+
+
+def _at_condition(table: RatioTable, values: FloatArray, condition: FloatArray) -> float:
+    """Values at the nodes of a ratio table [-] at a (5,) condition."""
+    return float((node_weights(table.axes, condition[np.newaxis]) @ values.ravel())[0])
 
 
 def _mean_condition(planned: PlannedFlight, design: Design) -> FloatArray:

@@ -18,6 +18,7 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import output_directory, write_json, write_text_atomic
 from sim_heating.base.files.package import package_version
+from sim_heating.base.parameters import PRESSURE_FACTOR
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import ANGLES, new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
@@ -26,8 +27,9 @@ from sim_heating.credibility.section import credibility_section
 from sim_heating.credibility.statement import Statement
 from sim_heating.estimation.design.check import RepeatedFits, repeated_fits
 from sim_heating.estimation.design.credibility import credibility_of_design
-from sim_heating.estimation.design.information import PRESSURE, Experiment, design_criterion
+from sim_heating.estimation.design.information import Experiment, design_criterion
 from sim_heating.estimation.design.instruments import InstrumentVariant, instrumentation
+from sim_heating.estimation.design.locations import Location, as_json, locations
 from sim_heating.estimation.design.planned_flight import SEARCH_TRAJECTORY, PlannedFlight, Planner
 from sim_heating.estimation.design.search import BoundsSweep, DesignSearch, DesignSearchResult
 from sim_heating.inputs.scenario import Scenario, load_scenario, with_design
@@ -61,6 +63,7 @@ class DesignResult:
     """A finished design.
 
     instruments : bounds of the best design with other instruments, as declared first
+    locations   : the scenario's control points by what one thermocouple there tells of the best design, the best first
     checked     : flown with the scenario's own source, where that is not the 3-DOF entry
     fitted      : errors of simulated fits of the best design and the bounds for them, where requested
     """
@@ -70,6 +73,7 @@ class DesignResult:
     search: DesignSearchResult
     sweeps: list[BoundsSweep]
     instruments: list[InstrumentVariant]
+    locations: list[Location]
     checked: SourceCheck | None
     fitted: tuple[RepeatedFits, Experiment] | None
 
@@ -120,11 +124,13 @@ def design(
     sweeps = search.sweep(result, SWEEP_POINTS)
     progress(0.8, "other instruments")
     instruments = instrumentation(planner, result.best, result.names, result.priors)
+    places = locations(planner, result.best)
     progress(0.85, "checking")
     fitted = None
     if repetitions:
         fitted = _repeat_fits(planner, result, repetitions, lambda f, text: progress(0.9 + 0.1 * f, text))
-    return DesignResult(scenario, planner, result, sweeps, instruments, _check_with_source(planner, result), fitted)
+    checked = _check_with_source(planner, result)
+    return DesignResult(scenario, planner, result, sweeps, instruments, places, checked, fitted)
 
 
 def _check_with_source(planner: Planner, result: DesignSearchResult) -> SourceCheck | None:
@@ -141,8 +147,8 @@ def _repeat_fits(
 ) -> tuple[RepeatedFits, Experiment]:
     """Simulated fits of the best design, with the surface pressure known in them and in the bounds."""
     record, start = planner.record(result.best, planner.instruments)
-    # the factor on the surface pressure is not a parameter of a fit: known in both, it cannot spoil the comparison
-    names = tuple(n for n in result.names if n != PRESSURE.name)
+    # a fit is linear in the factor on the surface pressure: known in both, that cannot spoil the comparison
+    names = tuple(n for n in result.names if n != PRESSURE_FACTOR.name)
     experiment = planner.experiment(result.best, names, result.priors)
     fits = repeated_fits(
         record, experiment, effects=planner.effects, start=start, repetitions=repetitions, progress=progress
@@ -181,6 +187,7 @@ def summary(designed: DesignResult) -> dict[str, Any]:
         "instruments": [
             {"kind": v.kind, "what": v.change, "sigma": _by_name(names, v.sigma)} for v in designed.instruments
         ],
+        "locations": [as_json(at, names) for at in designed.locations],
         "interfaces": designed.planner.interfaces(result.best.flight),
         "checked": _check_summary(designed),
         "fitted": _fit_summary(designed),
@@ -316,10 +323,35 @@ def design_page(designed: DesignResult, folder: Path) -> Page:
     sections = [
         Section("Bounds", [count], [*changes(contents), *notes(designed)], [bounds], shown[:2]),
         Section("Instruments", tables=[replace(instruments, sortable=True)], pictures=shown[2:]),
+        *([Section("Locations", tables=[locations_table(designed)])] if designed.locations else []),
         credibility_section(contents["credibility"]),
     ]
     subtitle = f"{designed.scenario.vehicle.name}, control point {designed.planner.point.name}: manoeuvre design"
     return Page(designed.scenario.title, subtitle, sections)
+
+
+def locations_table(designed: DesignResult) -> Table:
+    """Control points by what one thermocouple there tells of the optimal manoeuvres, the best first."""
+    columns = [
+        Column("control point"),
+        Column("thermocouple", is_text=True),
+        Column("ratio", format=".3g"),
+        *(Column(f"bound of {n}", format=".2g") for n in designed.targets),
+        Column("over the ratio, to the first design's point", format=".2f"),
+        Column("surface below its limit, K", format=".0f"),
+    ]
+    rows = [
+        [
+            at.control_point,
+            at.sensor.name if at.is_installed else "none yet, below the coating",
+            at.ratio,
+            *(float(s) if np.isfinite(s) else "not identified" for s in at.sigma),
+            at.over_declared if np.isfinite(at.over_declared) else "not identified",
+            at.surface_margin_K,
+        ]
+        for at in designed.locations
+    ]
+    return Table("One thermocouple at each control point, the most informative first.", columns, rows)
 
 
 NOT_IDENTIFIED = 1000.0

@@ -33,7 +33,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from sim_heating.base.files import Declared, repeated_name, suggestion
+from sim_heating.base.files import Declared, LocatedError, repeated_name, suggestion
 from sim_heating.planning.envelope.case import AXES, OPEN_RANGES, Case
 from sim_heating.trajectory.spec import Manoeuvre
 
@@ -190,6 +190,15 @@ class ManoeuvreCandidate(Declared):
         if (name := repeated_name(names)) is not None:
             raise ValueError(f"`{name}` is repeated; name each control point once")
         return names
+
+    @field_validator("flown")
+    @classmethod
+    def _flies_each_once(cls, flown: list[Manoeuvre]) -> list[Manoeuvre]:
+        for i, manoeuvre in enumerate(flown):
+            if manoeuvre in flown[:i]:
+                rule = f"is that of number {flown.index(manoeuvre) + 1}; list each manoeuvre once"
+                raise LocatedError(((i,), rule))
+        return flown
 
 
 class NextFlight(Declared):

@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,10 +33,12 @@ from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import flown_aero
 from sim_heating.trajectory.dispersed_air import air_kernel, dispersion_block
 from sim_heating.trajectory.entry3dof import flight_block
-from sim_heating.trajectory.fmu.model import FmuModel
 from sim_heating.trajectory.guidance import clip, resolve_guidance
 from sim_heating.trajectory.spec import FmuVariable, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, lift_drag_kernel, low_speed_rows
+
+if TYPE_CHECKING:
+    from sim_heating.trajectory.fmu.model import FmuModel  # it needs FMPy, and an export has the names of columns alone
 
 Frame = dict[str, float]
 Step = Callable[[Frame], None]
