@@ -166,7 +166,7 @@ def test_an_inadmissible_form_is_disqualified_however_well_it_fits() -> None:
 
 def test_an_error_of_the_model_leaves_it_to_the_evidence_what_is_resembled() -> None:
     none = searched().none
-    size = ErrorSize(np.array([0.05]), np.array([200.0]), np.zeros((1, 1)), np.zeros((1, 1)))
+    size = ErrorSize(np.array([0.05]), np.array([200.0]), np.ones(1), np.zeros((1, 1, 1)), np.zeros((1, 1, 1)))
     other = renamed(none, "transition", -50.0)  # explains nothing of the excess chi-square
     assert not other.adequate
     assert conclude(none, [other]).finding == "unknown"

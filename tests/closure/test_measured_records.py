@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from sim_heating.closure.close import close_loop
 from sim_heating.closure.prior.changed_flight import shift_conditions
-from sim_heating.closure.prior.model_error import flight_error, heating_error_prior
+from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
 from sim_heating.closure.report.record import closure_json
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.trials.told_error import told_error
@@ -97,6 +98,29 @@ def test_a_stated_uncertainty_is_used_whether_measured_or_not():
     exact = replace(record, declared=record.declared.model_copy(update={"heating": none}))
     assert heating_error_prior(exact) is None
     assert heating_error_prior(as_measured(exact)).relative == 0.0  # its flight has an error
+
+
+def with_flight_uncertainty(record, **stated):
+    conditions = record.declared.conditions.model_copy(update={"uncertainty": FlightUncertainty(**stated)})
+    return replace(record, declared=record.declared.model_copy(update={"conditions": conditions}))
+
+
+def test_what_is_stated_of_a_flight_may_be_too_small_and_no_default():
+    record = load_record(RECORDS / "practice" / "p06")
+    stated = flight_scales(with_flight_uncertainty(record, velocity_relative=0.003))
+    # a sigma with three degrees of freedom is an error of Student's t distribution, whose tails these masses have
+    cut = [np.sqrt(2.0), 2.0 * np.sqrt(2.0)]
+    larger = [chi2(3).cdf(3.0 / c**2) for c in cut]
+    assert list(stated.values()) == pytest.approx([1.0 - larger[0], larger[0] - larger[1], larger[1]])
+    for believed in (record, as_measured(record), load_record(RECORDS / "sts96_597")):
+        assert flight_scales(believed) == {1.0: 1.0}
+
+
+def test_a_clock_that_is_stated_too_well_may_be_off_by_more():
+    record = with_flight_uncertainty(load_record(RECORDS / "practice" / "p06"), time_shift_s=0.6)
+    clock = clock_prior(record, 0.25)
+    assert clock.sigma == 0.6
+    assert clock.upper > 3.0 * 2.0 * clock.sigma
 
 
 def test_the_error_of_a_flight_follows_from_the_confidence_of_its_conditions():
