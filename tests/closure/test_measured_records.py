@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from sim_heating.closure.close import close_loop
 from sim_heating.closure.prior.changed_flight import shift_conditions
 from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
 from sim_heating.closure.report.record import closure_json
+from sim_heating.closure.search.hypothesis import NOT_PREDICTED, hypothesis, scored
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.trials.told_error import told_error
 from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, with_own_error
@@ -121,6 +123,34 @@ def test_a_clock_that_is_stated_too_well_may_be_off_by_more():
     clock = clock_prior(record, 0.25)
     assert clock.sigma == 0.6
     assert clock.upper > 3.0 * 2.0 * clock.sigma
+
+
+def cause_that_predicts_worse(none, lost):
+    """A fit that makes the readings held out less likely by some nats than the declared model of a record does."""
+    scale = max(1.0, none.last.held_out_chi2)
+    step = np.eye(len(none.last.fit.values))[none.last.fit.names.index("ratio.scale")] * 0.002
+
+    def shifted(by):
+        last = none.last
+        fit = replace(last.fit, values=last.fit.values + by * step)
+        return replace(last, name="catalysis", fit=fit)
+
+    def loss(by):
+        return (none.last.held_out_log_likelihood - shifted(by).held_out_log_likelihood) / scale
+
+    return hypothesis([shifted(brentq(lambda by: loss(by) - lost, 0.1, 1000.0, xtol=1e-3))], {"catalysis": 1})
+
+
+@pytest.mark.parametrize(("stated", "odds"), [(None, np.e), (HeatingUncertainty(relative=0.02), 20.0)])
+def test_readings_held_out_speak_against_a_cause_from_stated_odds_on(stated, odds):
+    """An exact model may predict them worse by a factor of e, one with an error by 20: its predictions scatter."""
+    record = load_record(RECORDS / "practice" / "p06")
+    heating = record.declared.heating.model_copy(update={"uncertainty": stated})
+    record = replace(record, declared=record.declared.model_copy(update={"heating": heating}))
+    none = hypothesis([base_trial(declared_fit(record))], {})
+    for worse, is_barred in ((0.9 * odds, False), (1.1 * odds, True)):
+        (judged,) = scored(none, [cause_that_predicts_worse(none, np.log(worse))])
+        assert (NOT_PREDICTED[0] in judged.objections) is is_barred
 
 
 def test_the_error_of_a_flight_follows_from_the_confidence_of_its_conditions():

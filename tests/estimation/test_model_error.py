@@ -259,7 +259,9 @@ def test_a_flight_further_off_than_stated_says_so(flown, sigmas, likeliest):
         moved_K = F[first : first + len(s.mean_K)] @ (sigmas * signs)
         first += len(s.mean_K)
         read = s.mean_K + moved_K + s.sigma_K * rng.standard_normal(len(s.mean_K))
-        made.append(replace(s, channel=replace(s.channel, intervals=replace(s.channel.intervals, lower_K=read, upper_K=read))))
+        made.append(
+            replace(s, channel=replace(s.channel, intervals=replace(s.channel.intervals, lower_K=read, upper_K=read)))
+        )
     told = error_size_at(flown, made).posterior_of_scale
     assert max(told, key=told.get) == likeliest
     assert sum(told.values()) == pytest.approx(1.0)

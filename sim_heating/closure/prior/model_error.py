@@ -47,8 +47,8 @@ STATED_DOF = 3.0
 """Degrees of freedom of a standard deviation that a flight states: it is itself known to 40 % (JCGM 100:2008, G.4.2).
 
 Differences between measurements of one quantity, over their stated uncertainties, have Student's t distribution with
-one to four of them (D. C. Bailey, "Not Normal: the uncertainties of scientific measurements", R. Soc. Open Sci. 4 (2017)
-160600).
+few of them, often near one (D. C. Bailey, "Not Normal: the uncertainties of scientific measurements", R. Soc. Open Sci.
+4 (2017) 160600).
 """
 
 
