@@ -118,6 +118,16 @@ def test_what_is_stated_of_a_flight_may_be_too_small_and_no_default():
         assert flight_scales(believed) == {1.0: 1.0}
 
 
+def test_density_error_scatters_between_its_knots_as_at_them():
+    flight = flight_error(load_record(RECORDS / "sts96_597"))
+    row, sigma = flight.rows["density_relative"]
+    z = flight.altitudes_m
+    middle = 0.5 * (row[1:] + row[:-1])  # what the line between two knots has there
+    assert np.max(np.diff(z)) <= flight.uncertainty.density_scale_m / 3.0
+    np.testing.assert_allclose(np.linalg.norm(row, axis=1), sigma)
+    assert np.min(np.linalg.norm(middle, axis=1)) > 0.9 * sigma
+
+
 def test_a_clock_that_is_stated_too_well_may_be_off_by_more():
     record = with_flight_uncertainty(load_record(RECORDS / "practice" / "p06"), time_shift_s=0.6)
     clock = clock_prior(record, 0.25)

@@ -40,8 +40,7 @@ FLIGHT_SCALES = (1.0, 2.0, 4.0)
 KNOTS_A_SCALE, MOST_KNOTS = 3.0, 100
 """Knots of the density's error in each length that it is correlated over, and their intervals at most.
 
-The line between knots one length apart leaves out half of its variance at the middle, between those of a third of it a
-sixth, which an atmosphere has as layers thinner than the wall resolves.
+The line between knots a distance h apart leaves out tanh(h / 2) of its variance at the middle, h over that length.
 """
 STATED_DOF = 3.0
 """Degrees of freedom of a standard deviation that a flight states: it is itself known to 40 % (JCGM 100:2008, G.4.2).
