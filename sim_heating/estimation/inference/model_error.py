@@ -346,7 +346,7 @@ class ErrorSize:
 
     @property
     def posterior_of_scale(self) -> dict[float, float]:
-        """Probability [-] of each factor on the flight's standard deviations: docs/theory/model_error.md, equation 5a."""
+        """Probability [-] of each factor on the flight's sigmas: docs/theory/model_error.md, equation 5a."""
         return dict(zip(self.scales.tolist(), self.posterior.sum(axis=(1, 2)).tolist(), strict=True))
 
     @property
