@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 
-STATE = (
-    "time_s", "altitude_m", "velocity_m_s", "mach", "alpha_deg", "beta_deg", "log10_re",
-    "elevon_deg", "bodyflap_deg", "rho_kg_m3", "T_inf_K", "p_inf_Pa",
-)  # fmt: skip
+RATIO_VARIABLES = ("alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg")
+"""The variables of a heating-ratio table, in the order of its axes."""
+
+STATE = ("time_s", "altitude_m", "velocity_m_s", "mach", *RATIO_VARIABLES, "rho_kg_m3", "T_inf_K", "p_inf_Pa")
 """Columns that every flight has."""
 
 HEATING = ("p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg")
@@ -62,11 +62,8 @@ DERIVED = (
 )
 """Columns of one control point that follow from the others and from its declaration; no file holds them."""
 
-SURFACES = ("elevon_deg", "bodyflap_deg")
+SURFACES = RATIO_VARIABLES[3:]
 """Deflections of control surfaces, which a file of a vehicle without them leaves out; they are then 0."""
-
-RATIO_VARIABLES = ("alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg")
-"""The variables of a heating-ratio table, in the order of its axes."""
 
 SHUTTLE_MACH_M_S = 304.8
 """1000 ft/s [m/s], the unit of 'Mach' in the Shuttle literature."""

@@ -130,10 +130,10 @@ def signals_deferred() -> Iterator[None]:
         yield
         return
     received: list[int] = []
-    before: dict[int, Any] = {n: signal.getsignal(n) for n in ENDING_SIGNALS}
-    for number, handler in before.items():
-        if callable(handler) or handler is signal.SIG_DFL:
-            signal.signal(number, lambda n, _: received.append(n))
+    handlers: dict[int, Any] = {n: signal.getsignal(n) for n in ENDING_SIGNALS}
+    before = {n: handler for n, handler in handlers.items() if callable(handler) or handler is signal.SIG_DFL}
+    for number in before:
+        signal.signal(number, lambda n, _: received.append(n))
     mask = _block_interrupts()
     try:
         yield
@@ -141,8 +141,7 @@ def signals_deferred() -> Iterator[None]:
         if mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number, handler in before.items():
-            if callable(handler) or handler is signal.SIG_DFL:
-                signal.signal(number, handler)
+            signal.signal(number, handler)
         if received:
             signal.raise_signal(received[0])
 

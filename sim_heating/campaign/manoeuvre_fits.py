@@ -138,10 +138,17 @@ def fit_manoeuvre(task: FitTask, records: Sequence[Record]) -> FitResult:
         free = [name for name in priors if name not in fixed]
         priors_here = {**{name: priors[name] for name in free}, **stated.priors}
         fitted = estimate(
-            records, [*(stated.parameters or [DEFAULT]), *free], effects=effect_uses(values), fixed=fixed,
-            priors=priors_here, bounds=stated.bounds, ties=stated.tie, starts=starts, settings=settings,
+            records,
+            [*(stated.parameters or [DEFAULT]), *free],
+            effects=effect_uses(values),
+            fixed=fixed,
+            priors=priors_here,
+            bounds=stated.bounds,
+            ties=stated.tie,
+            starts=starts,
+            settings=settings,
             reference={**task.reference, **stated.reference_condition},
-        )  # fmt: skip
+        )
         omitted = {label.partition(AT)[0] for label in fitted.not_estimated}
         added = {name: values[name] for name in free if name in omitted}
         if not added:

@@ -34,32 +34,47 @@ def write_csvs(folder: Path, result: CampaignResult) -> None:
 def fits_table(result: CampaignResult) -> Table:
     """Every estimated parameter of every fit, a row a parameter."""
     columns = [
-        Column("control point", "control_point"), Column("manoeuvre", is_text=True), Column("flights", is_text=True),
-        Column("parameter", is_text=True), Column("value", format=".5g"), Column("sigma", format=".2g"),
-        Column("unit", is_text=True), Column("RMSE", "rmse_K", ".2f", "K"),
+        Column("control point", "control_point"),
+        Column("manoeuvre", is_text=True),
+        Column("flights", is_text=True),
+        Column("parameter", is_text=True),
+        Column("value", format=".5g"),
+        Column("sigma", format=".2g"),
+        Column("unit", is_text=True),
+        Column("RMSE", "rmse_K", ".2f", "K"),
         Column("noise floor", "noise_floor_K", ".2f", "K"),
-    ]  # fmt: skip
+    ]
+    fitted = [r for r in (*result.fits, *result.joint) if "failed" not in r]
     rows = [
-        [r["control_point"], r["group"], " ".join(r["flights"]), n, p["value"], p["sigma"], p["unit"], r["rmse_K"],
-         r["noise_floor_K"]]
-        for r in (*result.fits, *result.joint)
-        if "failed" not in r
+        [r["control_point"], r["group"], " ".join(r["flights"]), n, *_cells(p), r["rmse_K"], r["noise_floor_K"]]
+        for r in fitted
         for n, p in r["parameters"].items()
         if not n.startswith("initial.")
-    ]  # fmt: skip
+    ]
     return Table("Fits", columns, rows, sortable=len(rows) > SORTABLE, choices=["control point", "parameter"])
+
+
+def _cells(parameter: Mapping[str, Any]) -> list[Any]:
+    return [parameter["value"], parameter["sigma"], parameter["unit"]]
 
 
 def errors_table(result: CampaignResult) -> Table:
     """RMSE of every manoeuvre by the tables before and after, and by its own fit."""
     heads = {
-        "before_from_start_K": "before", "after_from_start_K": "after", "fit_K": "fit",
-        "before_K": "before, from entry", "after_K": "after, from entry", "noise_floor_K": "noise floor",
-    }  # fmt: skip
+        "before_from_start_K": "before",
+        "after_from_start_K": "after",
+        "fit_K": "fit",
+        "before_K": "before, from entry",
+        "after_K": "after, from entry",
+        "noise_floor_K": "noise floor",
+    }
     columns = [
-        Column("flight"), Column("control point", "control_point", is_text=True), Column("manoeuvre", is_text=True),
-        Column("use", is_text=True), *(Column(head, key, ".2f", "K") for key, head in heads.items()),
-    ]  # fmt: skip
+        Column("flight"),
+        Column("control point", "control_point", is_text=True),
+        Column("manoeuvre", is_text=True),
+        Column("use", is_text=True),
+        *(Column(head, key, ".2f", "K") for key, head in heads.items()),
+    ]
     rows = [
         [e["flight"], e["control_point"], e["manoeuvre"], "check" if e["check"] else "fitted", *(e[k] for k in heads)]
         for e in result.errors
@@ -78,10 +93,15 @@ def write_campaign_page(path: Path, result: CampaignResult) -> None:
 def campaign_page(result: CampaignResult) -> Page:
     """Flights, findings, fits, their agreement, the revised tables and what they predict."""
     sections = [
-        _flights_section(result), *_errors_section(result), *_tables_section(result), *_closed_section(result),
-        *_joint_section(result), *_ageing_section(result), *_fits_sections(result),
+        _flights_section(result),
+        *_errors_section(result),
+        *_tables_section(result),
+        *_closed_section(result),
+        *_joint_section(result),
+        *_ageing_section(result),
+        *_fits_sections(result),
         credibility_section(result.credibility.as_json()),
-    ]  # fmt: skip
+    ]
     vehicle = result.campaign.vehicle
     count = f"{_counted(len(result.flights), 'flight')}, {_counted(len(result.points), 'control point')}"
     subtitle = f"{vehicle.name}, revision {vehicle.revision}: {count}"
@@ -165,10 +185,12 @@ def _point_section(result: CampaignResult, point: str) -> list[Section]:
         return [Section(f"Fits of {point}", points=points)] if points else []
     names = [p.name for p in RATIO if any(p.name in r["parameters"] for r in rows)]
     columns = [
-        Column("manoeuvre"), Column("flights", is_text=True),
+        Column("manoeuvre"),
+        Column("flights", is_text=True),
         *(Column(n.removeprefix("ratio."), is_text=True) for n in names),
-        Column("RMSE", format=".2f", unit="K"), Column("noise floor", format=".2f", unit="K"),
-    ]  # fmt: skip
+        Column("RMSE", format=".2f", unit="K"),
+        Column("noise floor", format=".2f", unit="K"),
+    ]
     cells = [[r["group"], _who(r), *(_bound(r, n) for n in names), r["rmse_K"], r["noise_floor_K"]] for r in rows]
     remarks = [usable(r) for r in rows]
     if any(remarks):
@@ -194,13 +216,13 @@ def _bound(row: Mapping[str, Any], name: str) -> str:
 def _other_parameters(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Estimates that are neither of the ratio nor of the start."""
     cells = [
-        [r["group"], _who(r), n, p["value"], p["sigma"], p["unit"]]
+        [r["group"], _who(r), n, *_cells(p)]
         for r in rows
         for n, p in r["parameters"].items()
         if not n.startswith(("ratio.", "initial."))
     ]
-    columns = [Column("manoeuvre"), Column("flights", is_text=True), Column("parameter", is_text=True),
-               Column("value", format=".4g"), Column("sigma", format=".2g"), Column("unit", is_text=True)]  # fmt: skip
+    numbers = [Column("value", format=".4g"), Column("sigma", format=".2g"), Column("unit", is_text=True)]
+    columns = [Column("manoeuvre"), Column("flights", is_text=True), Column("parameter", is_text=True), *numbers]
     return [Table("Effects and thermal parameters", columns, cells)] if cells else []
 
 
@@ -255,9 +277,13 @@ def _joint_section(result: CampaignResult) -> list[Section]:
     if not rows:
         return []
     columns = [
-        Column("control point"), Column("manoeuvre", is_text=True), Column("flights"),
-        Column("chi-square", format=".1f"), Column("degrees of freedom"), Column("p-value", format=".2g"),
-    ]  # fmt: skip
+        Column("control point"),
+        Column("manoeuvre", is_text=True),
+        Column("flights"),
+        Column("chi-square", format=".1f"),
+        Column("degrees of freedom"),
+        Column("p-value", format=".2g"),
+    ]
     cells = [
         [
             r["control_point"],
@@ -281,10 +307,14 @@ def _ageing_section(result: CampaignResult) -> list[Section]:
     if not result.walks:
         return []
     columns = [
-        Column("control point"), Column("parameter", is_text=True), Column("flight", is_text=True),
-        Column("by this flight", format=".4g"), Column("sigma", format=".2g"),
-        Column("with those before", format=".4g"), Column("sigma", "known_sigma", format=".2g"),
-    ]  # fmt: skip
+        Column("control point"),
+        Column("parameter", is_text=True),
+        Column("flight", is_text=True),
+        Column("by this flight", format=".4g"),
+        Column("sigma", format=".2g"),
+        Column("with those before", format=".4g"),
+        Column("sigma", "known_sigma", format=".2g"),
+    ]
     rows = [
         [w.control_point, w.parameter, flight, *measured, *filtered]
         for w in result.walks
@@ -310,14 +340,19 @@ def _tables_section(result: CampaignResult) -> list[Section]:
     if not result.updates and not result.refused:
         return []
     columns = [
-        Column("control point"), Column("revision"), Column("manoeuvre", is_text=True), Column("flights"),
-        Column("written", is_text=True), Column("chi-square", format=".1f"), Column("degrees of freedom"),
-    ]  # fmt: skip
+        Column("control point"),
+        Column("revision"),
+        Column("manoeuvre", is_text=True),
+        Column("flights"),
+        Column("written", is_text=True),
+        Column("chi-square", format=".1f"),
+        Column("degrees of freedom"),
+    ]
+    before, after = ("control_point", "revision", "manoeuvre"), ("chi_square", "degrees_of_freedom")
     cells = [
-        [u["control_point"], u["revision"], u["manoeuvre"], len(u["flights"]), ", ".join(u["parameters"]),
-         u["chi_square"], u["degrees_of_freedom"]]
+        [*(u[k] for k in before), len(u["flights"]), ", ".join(u["parameters"]), *(u[k] for k in after)]
         for u in result.updates
-    ]  # fmt: skip
+    ]
     text = (
         "Each revision takes all evidence before it into account, so that their order does not matter. The chi-square "
         "is that of all evidence so far against the sigma that the table stated before any of it."
@@ -359,8 +394,13 @@ def totals(result: CampaignResult) -> Table:
         updates = sum(u["control_point"] == point for u in result.updates)
         rows.append([point, len(fits), good, len(joint), updates, *medians])
     columns = [
-        Column("control point"), Column("fits"), Column("within noise"), Column("joint fits"), Column("revisions"),
-        Column("tables before", format=".2f", unit="K"), Column("tables after", format=".2f", unit="K"),
+        Column("control point"),
+        Column("fits"),
+        Column("within noise"),
+        Column("joint fits"),
+        Column("revisions"),
+        Column("tables before", format=".2f", unit="K"),
+        Column("tables after", format=".2f", unit="K"),
         Column("noise floor", format=".2f", unit="K"),
-    ]  # fmt: skip
+    ]
     return Table("Campaign: fits, and median RMSE of the manoeuvres by the tables", columns, rows)

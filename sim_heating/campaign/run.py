@@ -42,7 +42,7 @@ from sim_heating.campaign.ageing import next_flight_settings
 from sim_heating.campaign.carried import Carried, agreed, mean_estimates, read_carried
 from sim_heating.campaign.flights import CampaignFlight, flights_of_records, record_directories, with_seed
 from sim_heating.campaign.joint import Group, agreement, groups_of
-from sim_heating.campaign.manoeuvre_fits import FitTask, FittedSpan, fit_job, fitted_span, run_fit, usable  # fmt: skip
+from sim_heating.campaign.manoeuvre_fits import FitTask, FittedSpan, fit_job, fitted_span, run_fit, usable
 from sim_heating.campaign.report import FILES, NEXT_FLIGHT, PAGE, SUMMARY, write_campaign_page, write_csvs
 from sim_heating.campaign.result import CampaignResult
 from sim_heating.campaign.spec import Campaign, FlightInput, ManoeuvreSettings, load_campaign
@@ -86,9 +86,14 @@ class Engine:
         """Run the jobs of a stage that are not finished yet."""
         try:
             return run_batches(
-                jobs, work, self.out / LEDGER / stage, scheduler=self.scheduler, workers=self.workers,
-                is_current=is_current, progress=progress,
-            )  # fmt: skip
+                jobs,
+                work,
+                self.out / LEDGER / stage,
+                scheduler=self.scheduler,
+                workers=self.workers,
+                is_current=is_current,
+                progress=progress,
+            )
         except KeyboardInterrupt:  # processes that were ended leave what they had begun to write
             settle_below(self.out)
             raise
@@ -227,9 +232,13 @@ def _close(result: CampaignResult, engine: Engine, progress: Progress) -> list[d
     for flight in result.fitted_flights:
         paths = [record.directory for record in flight.records.values()]
         closed = close_all(
-            paths, engine.out / CLOSED / flight.name, root=result.campaign.root, scheduler=engine.scheduler,
-            workers=engine.workers, progress=_of_flight(progress, flight, result),
-        )  # fmt: skip
+            paths,
+            engine.out / CLOSED / flight.name,
+            root=result.campaign.root,
+            scheduler=engine.scheduler,
+            workers=engine.workers,
+            progress=_of_flight(progress, flight, result),
+        )
         rows += [
             {**row, "flight": flight.name, "control_point": p} for row, p in zip(closed, flight.records, strict=True)
         ]
@@ -284,14 +293,22 @@ def _fit_singles(
             reference = dict(zip(RATIO_VARIABLES, map(float, condition), strict=True))
             for f, m, span in chosen:
                 settings = result.campaign.settings(f.name, point, m)
-                added = carried.get((f.name, point), Carried())
-                out = engine.out / FITS / f.name / point / m.name
+                record, known = f.records[point], carried.get((f.name, point), Carried()).estimates
                 task = FitTask(
-                    point, m.name, group.name, (f.name,), (str(f.records[point].directory),),
-                    ((span.begin_s, span.end_s),), str(out), (span.start,), _as_data(settings), reference,
-                    added.estimates, result.campaign.root,
-                )  # fmt: skip
-                tasks.append((task, [f.records[point]]))
+                    point,
+                    m.name,
+                    group.name,
+                    flights=(f.name,),
+                    records=(str(record.directory),),
+                    segments=((span.begin_s, span.end_s),),
+                    out=str(engine.out / FITS / f.name / point / m.name),
+                    starts=(span.start,),
+                    settings=_as_data(settings),
+                    reference=reference,
+                    carried=known,
+                    root=result.campaign.root,
+                )
+                tasks.append((task, [record]))
     result.fits.extend(_run_fits("fits", tasks, engine, progress))
 
 
@@ -331,11 +348,19 @@ def _joint_task(
         result.omitted.append(f"{point}, {group.name}: not fitted jointly, since {', '.join(ageing)} changes")
         return None
     task = FitTask(
-        point, group.name, group.name, names, tuple(str(r.directory) for r in records),
-        tuple((s[0], s[1]) for r in good for s in r["segments"]), str(engine.out / JOINT / point / group.name),
-        tuple(s for r in good for s in r["starts"]), _as_data(settings),
-        good[0]["reference_condition"], common, result.campaign.root,
-    )  # fmt: skip
+        point,
+        group.name,
+        group.name,
+        flights=names,
+        records=tuple(str(r.directory) for r in records),
+        segments=tuple((s[0], s[1]) for r in good for s in r["segments"]),
+        out=str(engine.out / JOINT / point / group.name),
+        starts=tuple(s for r in good for s in r["starts"]),
+        settings=_as_data(settings),
+        reference=good[0]["reference_condition"],
+        carried=common,
+        root=result.campaign.root,
+    )
     return task, records
 
 

@@ -78,15 +78,11 @@ EXAMPLES = {
 """Command -> the example of its help; commands that state their own are absent."""
 
 
-COMPLETED = (
-    "record", "records", "scenario", "study", "campaign_file", "path", "paths", "vehicle", "vehicles", "flights"
-)  # fmt: skip
+INPUT_FILES = ("record", "records", "scenario", "study", "campaign_file", "path", "paths", "flights")
+"""Names of the arguments and options that take files of a user."""
+COMPLETED = (*INPUT_FILES, "vehicle", "vehicles")
 """Names of the arguments and options that tab completion offers records, scenarios or vehicles for."""
-
-
-TAKES_EXAMPLES = (
-    "record", "records", "scenario", "study", "campaign_file", "path", "paths", "flights", "link", "replay"
-)  # fmt: skip
+TAKES_EXAMPLES = (*INPUT_FILES, "link", "replay")
 """Names of the arguments and options that a shipped example may be named by."""
 WITHOUT_EXAMPLES = ("new", "update-tables", "examples", "reproduce")
 """Commands that take no example."""

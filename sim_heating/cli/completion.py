@@ -74,23 +74,26 @@ def _below(start: Path, kinds: str) -> Iterator[str]:
         if not waiting:
             return
         folder, depth = waiting.pop(0)
-        try:
-            entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
-        except OSError:
-            continue
+        entries = _entries(folder)
         names = {entry.name for entry in entries}
         if begins is None and not names.isdisjoint({"record.toml", "vehicle.toml"}):
             if kinds == "path" or (kinds == "vehicle") is ("vehicle.toml" in names):
                 yield folder.as_posix()
             continue
         visible = [entry for entry in entries if not entry.name.startswith(".")]
-        inner = [folder / entry.name for entry in visible if entry.is_dir(follow_symlinks=False)]
-        waiting += [(path, depth + 1) for path in inner] if depth < DEPTH else []
+        is_folder = {folder / entry.name: entry.is_dir(follow_symlinks=False) for entry in visible}
+        waiting += [(path, depth + 1) for path, inner in is_folder.items() if inner and depth < DEPTH]
         if of_files:
-            files = [
-                folder / e.name for e in visible if e.name.endswith(".toml") and not e.is_dir(follow_symlinks=False)
-            ]
+            files = [path for path, inner in is_folder.items() if path.suffix == ".toml" and not inner]
             yield from (path.as_posix() for path in files if _is_of_format(path, begins))
+
+
+def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    """Entries of a folder in the order of their names; none where it cannot be read."""
+    try:
+        return sorted(os.scandir(folder), key=lambda entry: entry.name)
+    except OSError:
+        return []
 
 
 def _is_of_format(path: Path, begins: str | None) -> bool:

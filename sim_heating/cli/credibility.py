@@ -79,19 +79,20 @@ def _statement_in(results: Path) -> tuple[Path, dict[str, Any]]:
         raise InputError(
             f"{results}: there is no such directory; name one with results, or a command: {', '.join(_commands())}"
         )
+    raise InputError(f"{display_path(results)}: {_what_it_is(results)}")
+
+
+def _what_it_is(results: Path) -> str:
+    """What a directory without a statement is, and which one to name."""
+    from sim_heating.base.files import display_path
+
     if (results / "record.toml").is_file():
-        raise InputError(
-            f"{display_path(results)}: is a flight record; name the directory of results that predict, estimate or "
-            f"close-loop wrote from it"
-        )
+        return "is a flight record; name the directory of results that predict, estimate or close-loop wrote from it"
     below = sorted(p.parent for name in RESULTS for p in results.glob(f"*/{name}"))
-    kept = next((kind for kind in ("vehicle", "record") if (results / f"{kind}.toml").is_file()), None)
-    hint = "; run the command again"
-    if kept is not None:
-        hint = f": it is a {kept}; name the directory that a command wrote with --out"
-    elif below:
-        hint = f"; its folders have some, such as {display_path(below[0])}"
-    raise InputError(f"{display_path(results)}: holds no result with a credibility statement{hint}")
+    hint = f"; its folders have some, such as {display_path(below[0])}" if below else "; run the command again"
+    if (results / "vehicle.toml").is_file():
+        hint = ": it is a vehicle; name the directory that a command wrote with --out"
+    return f"holds no result with a credibility statement{hint}"
 
 
 def _commands() -> list[str]:

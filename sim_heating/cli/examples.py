@@ -95,16 +95,22 @@ def _copy(out: Path) -> list[Path]:
     raises : InputError where another file has one of the names, unless others may be replaced
     """
     from sim_heating.base.files import OR_FORCE, replace_files, replaces_others
-    from sim_heating.base.files.package import data_folders
 
-    copies: dict[Path, bytes] = {}
-    for name in COPIED:
-        root = next(folder for folder in data_folders(name) if folder.is_dir())
-        for path in sorted(p for p in root.rglob("*") if p.is_file() and "__pycache__" not in p.parts):
-            copies[name / path.relative_to(root)] = path.read_bytes()
-    new = {f: data for f, data in copies.items() if not (out / f).exists() or (out / f).read_bytes() != data}
-    changed = [f for f in new if (out / f).exists()]
+    copies = {file: data for name in COPIED for file, data in _shipped(name)}
+    there = {f: (out / f).read_bytes() for f in copies if (out / f).exists()}
+    new = {f: data for f, data in copies.items() if there.get(f) != data}
+    changed = [f for f in new if f in there]
     if changed and not replaces_others():
         raise InputError(f"{out / changed[0]}: is not the shipped file; copy into another folder{OR_FORCE}")
     replace_files(out, {file.as_posix(): data for file, data in new.items()})
     return list(copies)
+
+
+def _shipped(name: str) -> Iterator[tuple[Path, bytes]]:
+    """Name and content of each file of a data folder."""
+    from sim_heating.base.files.package import data_folders
+
+    root = next(folder for folder in data_folders(name) if folder.is_dir())
+    for path in sorted(root.rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            yield name / path.relative_to(root), path.read_bytes()

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import click
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import CONSOLE, print_table
 from sim_heating.cli.output import report_results
+
+if TYPE_CHECKING:
+    from sim_heating.base.report.table import Table
+    from sim_heating.formats.page import KeyTable
 
 
 @click.command()
@@ -40,8 +45,14 @@ def formats(name: str | None, as_schema: bool) -> None:
         return
     tables = key_tables(chosen)
     for table in tables:
-        columns = [Column(head, is_text=True) for head in ("key", "value", "default", "meaning")]
-        rows = [(k.name, k.value, "required" if k.required else k.default, k.description) for k in table.keys]
-        if rows:
-            print_table(Table(f"{table.heading or chosen.file}: {table.about or chosen.title}", columns, rows))
+        if table.keys:
+            print_table(_keys(table, f"{table.heading or chosen.file}: {table.about or chosen.title}"))
     report_results({"file": chosen.file, "tables": [asdict(table) for table in tables]})
+
+
+def _keys(table: KeyTable, title: str) -> Table:
+    from sim_heating.base.report.table import Column, Table
+
+    columns = [Column(head, is_text=True) for head in ("key", "value", "default", "meaning")]
+    rows = [(k.name, k.value, "required" if k.required else k.default, k.description) for k in table.keys]
+    return Table(title, columns, rows)

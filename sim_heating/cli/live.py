@@ -208,6 +208,24 @@ def _written(engine: LinkEngine, state: State, directory: Path) -> tuple[list[st
 
 def _print_summary(engine: LinkEngine, state: State) -> None:
     """Print the estimates at the end of a link, what came, what was taken out, and whether an effect is missing."""
+    _print_estimates(engine, state)
+    counts, health = engine.counts, state.link
+    CONSOLE.print(
+        f"Came: {counts['messages']} messages, {counts['frames']} frames and {counts['readings']} readings, of which "
+        f"{health.lost} lost, {health.late} late, {health.too_late} too late, {health.doubled} doubled; "
+        f"{health.damaged} damaged, {health.jumps} clock jumps"
+    )
+    removed = [removal.text for removal in state.removed]
+    remarks = [line for line in engine.remarks.lines() if line not in removed]
+    for line in (*removed, *remarks[:MOST_REMARKS]):
+        print_warning(line)
+    if len(remarks) > MOST_REMARKS:
+        print_warning(f"{len(remarks) - MOST_REMARKS} more remarks are in live.json")
+    CONSOLE.print(f"Missing effect: {state.missing.text}", style="red" if state.missing.alarm else None)
+
+
+def _print_estimates(engine: LinkEngine, state: State) -> None:
+    """Print temperatures and parameters of each control point."""
     from sim_heating.base.report.table import Column, Table
 
     heads = ["surface [K]", "bondline [K]", "margin [K]"]
@@ -232,19 +250,6 @@ def _print_summary(engine: LinkEngine, state: State) -> None:
         ]
         heads = ["control point", "parameter", "estimate +- sigma", "unit"]
         print_table(Table("Parameters", [Column(h) for h in heads], fitted))
-    counts, health = engine.counts, state.link
-    CONSOLE.print(
-        f"Came: {counts['messages']} messages, {counts['frames']} frames and {counts['readings']} readings, of which "
-        f"{health.lost} lost, {health.late} late, {health.too_late} too late, {health.doubled} doubled; "
-        f"{health.damaged} damaged, {health.jumps} clock jumps"
-    )
-    removed = [removal.text for removal in state.removed]
-    remarks = [line for line in engine.remarks.lines() if line not in removed]
-    for line in (*removed, *remarks[:MOST_REMARKS]):
-        print_warning(line)
-    if len(remarks) > MOST_REMARKS:
-        print_warning(f"{len(remarks) - MOST_REMARKS} more remarks are in live.json")
-    CONSOLE.print(f"Missing effect: {state.missing.text}", style="red" if state.missing.alarm else None)
 
 
 def _bound(value: float, sigma: float, spec: str = ".4g", sigma_spec: str = ".2g") -> str:

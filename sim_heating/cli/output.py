@@ -159,7 +159,7 @@ def _plain(value: Any) -> Any:
         return [_plain(v) for v in value]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
-    if value is None or isinstance(value, (bool, int, str)):
+    if isinstance(value, (bool, int, str, type(None))):
         return value
     if hasattr(value, "tolist"):  # numpy, which is slow to import
         return _plain(value.tolist())

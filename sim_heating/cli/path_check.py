@@ -69,8 +69,9 @@ def descriptions(path: str | os.PathLike[str]) -> dict[str, dict[str, str]]:
     if target.suffix == ".toml":
         target = target.parent if target.name in (DECLARATION, VEHICLE) else target
     files = sorted((*target.glob("*.toml"), *target.glob("*/*.toml"))) if target.is_dir() else [target]
+    folder = target if target.is_dir() else target.parent
     texts = {
-        file.relative_to(target).as_posix() if file != target else file.name: dict(_described(read_toml_dict(file), ""))
+        file.relative_to(folder).as_posix(): dict(_described(read_toml_dict(file), ""))
         for file in files
         if file.suffix == ".toml"
     }

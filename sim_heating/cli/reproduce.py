@@ -165,32 +165,39 @@ def _file_differences(old: Path, new: Path) -> Iterator[str]:
 
 def _contents_differences(old: Path, new: Path) -> Iterator[str]:
     """Entries of JSON, columns of CSV, variables and attributes of netCDF that differ."""
+    compare = {".json": _json_differences, ".nc": _netcdf_differences, ".csv": _csv_differences}.get(old.suffix)
+    return iter(()) if compare is None else compare(old, new)
+
+
+def _json_differences(old: Path, new: Path) -> Iterator[str]:
     import json
 
+    return _entries("", json.loads(old.read_text("utf-8")), json.loads(new.read_text("utf-8")))
+
+
+def _netcdf_differences(old: Path, new: Path) -> Iterator[str]:
+    import xarray as xr
+
+    with xr.open_dataset(old, decode_times=False) as a, xr.open_dataset(new, decode_times=False) as b:
+        yield from _entries("attribute ", dict(a.attrs), dict(b.attrs))
+        for name in sorted({*a.variables, *b.variables}, key=str):
+            if name not in a.variables or name not in b.variables or not a[name].identical(b[name]):
+                yield f"variable {name}"
+
+
+def _csv_differences(old: Path, new: Path) -> Iterator[str]:
     import numpy as np
+    import pandas as pd
 
-    if old.suffix == ".json":
-        yield from _entries("", json.loads(old.read_text("utf-8")), json.loads(new.read_text("utf-8")))
-    elif old.suffix == ".nc":
-        import xarray as xr
-
-        with xr.open_dataset(old, decode_times=False) as a, xr.open_dataset(new, decode_times=False) as b:
-            yield from _entries("attribute ", dict(a.attrs), dict(b.attrs))
-            for name in sorted({*a.variables, *b.variables}, key=str):
-                if name not in a.variables or name not in b.variables or not a[name].identical(b[name]):
-                    yield f"variable {name}"
-    elif old.suffix == ".csv":
-        import pandas as pd
-
-        then, now = (pd.read_csv(path, comment="#") for path in (old, new))
-        for name in sorted({*then.columns, *now.columns}):
-            if name not in then or name not in now or len(then) != len(now):
-                yield f"column {name}: other rows"
-            elif not then[name].equals(now[name]):
-                try:
-                    yield f"column {name}: by up to {np.nanmax(np.abs(then[name] - now[name])):.3g}"
-                except TypeError:
-                    yield f"column {name}"
+    then, now = (pd.read_csv(path, comment="#") for path in (old, new))
+    for name in sorted({*then.columns, *now.columns}):
+        if name not in then or name not in now or len(then) != len(now):
+            yield f"column {name}: other rows"
+        elif not then[name].equals(now[name]):
+            try:
+                yield f"column {name}: by up to {np.nanmax(np.abs(then[name] - now[name])):.3g}"
+            except TypeError:
+                yield f"column {name}"
 
 
 def _entries(key: str, old: Any, new: Any) -> Iterator[str]:

@@ -328,7 +328,7 @@ def predict(
     from sim_heating.inputs.points import point_of_record, point_with_vehicle_table, undeclared_effects
     from sim_heating.inputs.record import load_records
     from sim_heating.inputs.vehicle import load_vehicle
-    from sim_heating.simulation.predict import FILES, load_writers, summary, write_prediction, write_predictions_page
+    from sim_heating.simulation.predict import FILES, load_writers, summary
     from sim_heating.simulation.predict import predict as predict_record
     from sim_heating.simulation.results import prediction_table
 
@@ -367,19 +367,23 @@ def predict(
 
     with progress_line("predict") as progress:
         predictions = in_copy(predicted, load_writers, progress)
-        names = [
-            (folder / name).relative_to(out)
-            for prediction, folder in zip(predictions, folders, strict=True)
-            for name in write_prediction(prediction, folder)
-        ]
-        if len(predictions) > 1:
-            names.append(write_predictions_page(predictions, out))
+        names = _write_predictions(predictions, folders, out)
     summaries = {p.record.name: summary(p) for p in predictions}
     print_table(prediction_table(list(summaries.values())))
     _print_range_warnings(summaries)
     for name, contents in summaries.items():
         if contents["beyond_reference"]:
             print_warning(f"{name}: {contents['beyond_reference']}")
-    for line in filter(None, (undeclared_effects(record) for record in loaded if revised is None and not absent)):
+    for line in filter(None, map(undeclared_effects, loaded if revised is None and not absent else ())):
         CONSOLE.print(line)
     print_outputs(out, map(str, names), "summary.json" if len(summaries) == 1 else {"records": summaries})
+
+
+def _write_predictions(predictions: list[Prediction], folders: list[Path], out: Path) -> list[Path | str]:
+    """Write each prediction into its folder, and the page of several; names of the files below `out`."""
+    from sim_heating.simulation.predict import write_prediction, write_predictions_page
+
+    names: list[Path | str] = []
+    for prediction, folder in zip(predictions, folders, strict=True):
+        names += [(folder / name).relative_to(out) for name in write_prediction(prediction, folder)]
+    return [*names, write_predictions_page(predictions, out)] if len(predictions) > 1 else names

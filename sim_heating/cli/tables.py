@@ -178,7 +178,7 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
       sim-heating table orbiter/aero --out aero.dml             # CN, CA, Cm of a vehicle
       sim-heating table aero.dml --out my_vehicle/aero          # and back, as its CSV files
     """
-    from sim_heating.base.files import display_path, replaces_others
+    from sim_heating.base.files import display_path
     from sim_heating.heating.exchange.ratio_formats import read_table, write_table
     from sim_heating.inputs.vehicle import load_vehicle
 
@@ -193,25 +193,30 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
     if out is not None and out.name == "aero":
         _import_aero(source, out)
         return
-    point = load_vehicle(name, root=root).control_point(point_name) if is_point else None
-    read = read_table(source) if point is None else point.ratio
+    read = load_vehicle(name, root=root).control_point(point_name).ratio if is_point else read_table(source)
     if out is None:
-        shape = " x ".join(str(len(a)) for a in read.axes)
+        nodes = [len(axis) for axis in read.axes]
+        shape = " x ".join(map(str, nodes))
         CONSOLE.print(f"{source}: {shape} nodes, ratio {read.ratio.min():.4g} to {read.ratio.max():.4g}")
-        report_results({"nodes": [len(a) for a in read.axes], "header": dict(read.header)})
+        report_results({"nodes": nodes, "header": dict(read.header)})
         return
-    if out.exists() and not replaces_others():
-        raise InputError(f"{display_path(out)}: exists; choose another name, or --force replaces it")
-    if out.suffix.lower() == ".xml":
-        if point is None:
-            raise InputError(
-                f"{source}: a system of JSBSim needs the wall of a point; give VEHICLE/POINT as the source"
-            )
+    _require_no_file(out, "name")
+    if out.suffix.lower() != ".xml":
+        write_table(out, read)
+    elif is_point:
         _write_jsbsim_system(name, point_name, out, root)
     else:
-        write_table(out, read)
+        raise InputError(f"{source}: a system of JSBSim needs the wall of a point; give VEHICLE/POINT as the source")
     report_files(None, [out])
     CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+
+
+def _require_no_file(path: Path, other: str) -> None:
+    """raises : InputError where there is a file, unless files of others are replaced"""
+    from sim_heating.base.files import display_path, replaces_others
+
+    if path.exists() and not replaces_others():
+        raise InputError(f"{display_path(path)}: exists; choose another {other}, or --force replaces it")
 
 
 def _import_aero(source: str, out: Path) -> None:
@@ -273,7 +278,7 @@ def _write_jsbsim_system(vehicle: str, point_name: str, out: Path, root: Path | 
 
 def _tables_of_body_points(source: Path, vehicle: str, out: Path | None, farthest_m: float, root: Path | None) -> None:
     """Write the tables of the control points of a vehicle from a file of body points."""
-    from sim_heating.base.files import display_path, replaces_others
+    from sim_heating.base.files import display_path
     from sim_heating.heating.exchange.body_points import tables_of_body_points
     from sim_heating.heating.exchange.ratio_formats import write_table
     from sim_heating.inputs.vehicle import load_vehicle
@@ -287,8 +292,7 @@ def _tables_of_body_points(source: Path, vehicle: str, out: Path | None, farthes
     )
     paths = [out / f"{name}.csv" for name in tables]
     for path in paths:
-        if path.exists() and not replaces_others():
-            raise InputError(f"{display_path(path)}: exists; choose another folder, or --force replaces it")
+        _require_no_file(path, "folder")
     out.mkdir(parents=True, exist_ok=True)
     for path, body_table in zip(paths, tables.values(), strict=True):
         write_table(path, body_table)

@@ -118,9 +118,14 @@ def close_all(
             require_writable(folder, COMMAND, expected=files, inputs=records)
         try:
             outcome = run_batches(
-                jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers,
-                is_current=_closure_is_there, progress=progress,
-            )  # fmt: skip
+                jobs,
+                _close_record,
+                out / LEDGER,
+                scheduler=scheduler,
+                workers=workers,
+                is_current=_closure_is_there,
+                progress=progress,
+            )
         except KeyboardInterrupt:  # processes that were ended leave what they had begun to write
             settle_below(out)
             raise

@@ -137,8 +137,10 @@ def close_loop(
     result = _stated(search_effects(record, parameters, progress=lambda f, text: progress(0.8 * f, text)))
     progress(0.8, "refitting with the effects found; residual as heating")
     tasks: list[Callable[[], Any]] = [
-        partial(_refitted, result), partial(_residual_after, result.before), partial(_before, result),
-    ]  # fmt: skip
+        partial(_refitted, result),
+        partial(_residual_after, result.before),
+        partial(_before, result),
+    ]
     (fitted, after, residual_after), residual, before = in_processes(tasks)
     compared = before, before if result.compared is result.none else after
     report = closure_of(result, fitted, compared, (residual, residual_after), notes)

@@ -93,9 +93,12 @@ def closure_of(
         residual_after=residual_after,
         evidence=residual_evidence(residual, ratio_at(before.after[0], residual.time_s)),
         statement=_statement(
-            result, fitted, [*_left_out(result), *not_effects],
+            result,
+            fitted,
+            [*_left_out(result), *not_effects],
             or_left_out(
-                lambda: tell_apart(result.none, result.conclusion.best, _rivals(result)), [],
+                lambda: tell_apart(result.none, result.conclusion.best, _rivals(result)),
+                [],
                 "what would tell causes apart",
             ),
             probability=probability_of(result),
@@ -115,7 +118,7 @@ def closure_of(
             *_residual_warning(result, residual_after),
         ],
         remarks=remarks(fitted),
-    )  # fmt: skip
+    )
 
 
 def is_exact(trial: TrialFit) -> bool:
@@ -413,9 +416,9 @@ def rmse_K(trial: TrialFit, problem: FitProblem) -> float:
         u = trial.problem.errors(trial.fit.values)[0]
     except RunError:
         return math.nan
-    residuals = np.concatenate([
-        0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) - s.mean_K for s in samples
-    ])  # fmt: skip
+    residuals = np.concatenate(
+        [0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) - s.mean_K for s in samples]
+    )
     if fit.model_error is not None and fit.error_root_K is not None:
         flight = fit.model_error.of_flight
         residuals -= fit.error_root_K[:, flight] @ u[flight]

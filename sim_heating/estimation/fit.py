@@ -503,10 +503,9 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
         raise RunError(
             f"{record.name}: the declared model cannot be marched along the record; see `sim-heating predict`"
         )
-    fit = Fit(
-        (), nothing, np.zeros((0, 0)), evaluation.log_likelihood, evaluation.log_likelihood, np.zeros((0, 0)), nothing,
-        np.zeros(0, dtype=bool), (), Status.CONVERGED, 0, 0.0, np.zeros((1, 0)),
-    )  # fmt: skip
+    empty, log_p, at_bound = np.zeros((0, 0)), evaluation.log_likelihood, np.zeros(0, dtype=bool)
+    ended = (Status.CONVERGED, 0, 0.0, np.zeros((1, 0)))
+    fit = Fit((), nothing, empty, log_p, log_p, empty, nothing, at_bound, (), *ended)
     return replace(_fit_result(problem, fit, dict(reasons or {}), notes, None), outliers=tuple(outliers))
 
 

@@ -200,10 +200,12 @@ class RecordFit:
 
         Square root of R of docs/theory/model_error.md, equation 1.
         """
-        return np.concatenate([
-            np.hypot(c.noise_K(self.sigma_K[c.number]), c.sensor.lsb_K / math.sqrt(12.0)) + np.zeros(len(c.samples))
-            for c in self.channels
-        ])  # fmt: skip
+        return np.concatenate(
+            [
+                np.hypot(c.noise_K(self.sigma_K[c.number]), c.sensor.lsb_K / math.sqrt(12.0)) + np.zeros(len(c.samples))
+                for c in self.channels
+            ]
+        )
 
     @property
     def skew_span_s(self) -> float:
@@ -370,9 +372,11 @@ class RecordFit:
         plain = march.march(*set_parameters(march, [self], [vector]))[0]
         lagged, at = self.sensed(plain, vector), np.searchsorted(self.read_s, self.sample_s)
         return Sensed(
-            lagged.temperature_K - plain.temperature_K[:, at], lagged.rate_K_s - plain.rate_K_s[:, at],
-            lagged.sensitivity - plain.sensitivity[:, at], lagged.per_lag_K_s,
-        )  # fmt: skip
+            lagged.temperature_K - plain.temperature_K[:, at],
+            lagged.rate_K_s - plain.rate_K_s[:, at],
+            lagged.sensitivity - plain.sensitivity[:, at],
+            lagged.per_lag_K_s,
+        )
 
 
 def take_error(record_fit: RecordFit, other: RecordFit) -> None:

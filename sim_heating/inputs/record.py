@@ -351,9 +351,13 @@ class Heating(Declared):
     def recovery_of_point(self) -> Recovery:
         """Recovery enthalpy of the control point: as declared, else that of the reference heating."""
         return declared_recovery(
-            self.recovery, self.local_angle_deg, self.reference, self.elevon_factor, self.bodyflap_factor,
+            self.recovery,
+            self.local_angle_deg,
+            self.reference,
+            self.elevon_factor,
+            self.bodyflap_factor,
             self.sweep_deg,
-        )  # fmt: skip
+        )
 
     @property
     def effects(self) -> tuple[EffectUse, ...]:

@@ -60,9 +60,7 @@ from sim_heating.trajectory.spec import TrajectorySpec
 class HeatingOptions(Declared):
     """Options of the heating computed along the flight."""
 
-    quantities: ClassVar = {
-        "T_surroundings_K": ("time_s", "T_surroundings_K"), "T_back_K": ("time_s", "T_back_K"),
-    }  # fmt: skip
+    quantities: ClassVar = {"T_surroundings_K": ("time_s", "T_surroundings_K"), "T_back_K": ("time_s", "T_back_K")}
 
     longest_step_s: float = Field(default=1.0, gt=0.0, le=60.0, description="longest thermal step in s")
     alongside: bool = Field(default=False, description="step the plug-in alongside the host and compare")
@@ -663,6 +661,10 @@ def _measured_history(compare: Compare, file: Path) -> MeasuredHistory:
     columns = {name: table[name][inside] for name in ("time_s", "temperature_K", "sigma_K")}
     segments = check({"fit": compare.fit_s, "holdout": compare.holdout_s}, Segments, f"[[compare]] {compare.label}")
     return MeasuredHistory(
-        compare.control_point, compare.label, **columns, segments=segments,
-        source=compare.source, confidence=compare.confidence,
-    )  # fmt: skip
+        compare.control_point,
+        compare.label,
+        **columns,
+        segments=segments,
+        source=compare.source,
+        confidence=compare.confidence,
+    )

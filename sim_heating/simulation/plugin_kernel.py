@@ -321,9 +321,19 @@ def follow_upstream_walls(
 
 @njit
 def advance_behind_walls(
-    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray,
-    points: PointConstants, lanes: IntArray, vectors: FloatArray, then: FloatArray, dt: float, steps: int,
-) -> None:  # fmt: skip
+    state: FloatArray,
+    ints: IntArray,
+    table: FloatArray,
+    dispatcher,
+    advance,
+    groups: IntArray,
+    points: PointConstants,
+    lanes: IntArray,
+    vectors: FloatArray,
+    then: FloatArray,
+    dt: float,
+    steps: int,
+) -> None:
     """Advance all lane groups by dt [s], those behind interfaces with the walls upstream; as `advance_groups`.
 
     vectors : (lane, condition) at the end, overwritten;  then : a copy of them, of the same shape

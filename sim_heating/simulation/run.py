@@ -19,7 +19,6 @@ from sim_heating.base.files import display_path, output_directory, suggestion, w
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel.processes import in_copy
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.base.report.hdf5_times import without_times
 from sim_heating.credibility.facts.of_flight import facts_of_flight
 from sim_heating.credibility.statement import Facts, Statement, assess
 from sim_heating.heating.ratio.lookup import table_ratios_at
@@ -31,6 +30,7 @@ from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.march.history import PointHistory, march_points, point_summary, table_excursions
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
+from sim_heating.simulation.hdf5_times import without_times
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.results import histories_dataset, run_table, write_heating_csv, write_temperatures_csv
 from sim_heating.trajectory import entry3dof, recorded
@@ -430,8 +430,9 @@ def files_of(scenario: Scenario) -> list[str]:
     folders = [""] if len(scenario.names) == 1 else [f"{name}/" for name in scenario.names]
     declared = scenario.declared.trajectory.manoeuvre
     manoeuvres = {_picture_of(i, m.kind) for i in range(1, len(declared) + 1) for m in declared}
-    return [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, HEAT, COMPARED, PAGE,
-            *(f"{folder}{name}" for folder in folders for name in OF_POINT), *sorted(manoeuvres)]  # fmt: skip
+    of_points = [f"{folder}{name}" for folder in folders for name in OF_POINT]
+    of_run = [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, HEAT, COMPARED, PAGE]
+    return [*of_run, *of_points, *sorted(manoeuvres)]
 
 
 def _picture_of(number: int, kind: str) -> str:

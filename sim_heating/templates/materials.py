@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path, nearest_name, read_toml
+from sim_heating.base.files import nearest_name, read_toml
 from sim_heating.base.files.units import converted
 from sim_heating.inputs.vehicle import library_materials, vehicle_folders
 from sim_heating.templates.quantities import NUMBER, quantity
@@ -114,8 +113,3 @@ def describe_source(name: str, material: Material) -> str:
     """One line on where the properties of a material come from."""
     confidence = f", confidence {material.confidence}" if material.confidence else ""
     return f"{name}: {material.source or 'no source stated'}{confidence}"
-
-
-def library_folders() -> list[str]:
-    """Folders of the general library, for messages."""
-    return [display_path(f / FOLDER) for f in vehicle_folders() if os.path.isdir(f / FOLDER)]

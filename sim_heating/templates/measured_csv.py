@@ -10,10 +10,11 @@ from __future__ import annotations
 import re
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ from sim_heating.templates.loggers.clocks import (
     over_midnight,
     with_colons,
 )
-from sim_heating.templates.loggers.files import kind_of_file, read_table
+from sim_heating.templates.loggers.files import json_block, kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
 from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
 from sim_heating.templates.loggers.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
@@ -52,11 +53,15 @@ SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
     (TIME, r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum)([^a-z]|$)|^t$|^x_value$"),
-    (TIME, r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sek.*)([^a-z].*)?$"),
+    (
+        TIME,
+        r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sek.*"
+        r"|tiempo|tempo|tijd)([^a-z].*)?$",
+    ),
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
     (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
-)  # fmt: skip
+)
 """Patterns of the names of columns, without their units; the first that fits holds."""
 COUNTER = (
     r"(?i)^(#|no\.?|nr\.?|n|num(ber)?|scan|sweep|record|rec|rn|index|idx|sample|row|line|count(er)?|point|id|messung|"
@@ -67,6 +72,10 @@ NO_READING = r"(?i)alarm|status|flag|valid|quality|batt|volt|humid|^rh|counter"
 """Pattern of the names of columns that accompany readings."""
 UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigma|uncertainty|stdev|std)$"
 """Pattern of the names of columns that hold the uncertainty of others."""
+DIFFERENCE = r"(?i)(^|[^a-z])(delta|diff(erence)?|rise|change)([^a-z]|$)|[Δ∆]|^d[Tt]([^a-z].*)?$"
+"""Pattern of the names of columns that hold differences of temperatures, which have no zero."""
+FACTOR = r"(?i)(.*?) ?([x*\u00d7] ?10+)"
+"""Pattern of a name that ends in the factor of its numbers, which is a part of its unit."""
 REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|avg|smp|min|max|last|ave\.?"
 """What stands in brackets and is no unit: time zones, layouts of clocks, how samples were reduced."""
 RAW = r"(?i)(.+?)[_ ]((?:[muµ]v|volts?|[mk]?ohms?|ma|counts?|cts|raw|adc|bits?|deg))"
@@ -179,8 +188,9 @@ class _Head:
     emf: str = ""
 
     @property
-    def has_clock_cells(self) -> bool:
-        return any(is_clock(c) for c in self.cells[:50])
+    def unit(self) -> str:
+        """Unit that is stated, else that of the cells."""
+        return self.stated or self.numbers.unit
 
 
 def read_measured_csv(
@@ -220,46 +230,46 @@ def read_measured_csv(
     raises    : InputError, one line, where the file cannot be read so, with the option that helps
     """
     base = layout or LoggerLayout()
-    chosen = base.model_copy(
-        update={
-            key: value
-            for key, value in {
-                "time": time, "time_unit": time_unit, "temperature_unit": temperature_unit, "flux_unit": flux_unit,
-                "thermocouple": thermocouple, "reference_junction": reference_junction, "period_s": period_s,
-                "separator": separator, "decimal": decimal, "dates": dates, "repeated": repeated,
-                "sheet": sheet, "lost": [*base.lost, *lost],
-            }.items()
-            if value is not None
-        }
-    )  # fmt: skip
-    if chosen.time_unit is not None and chosen.time_unit not in CLOCKS and converted(chosen.time_unit, "s") is None:
-        units = ", ".join((*DURATIONS, *CLOCKS))
-        raise InputError(f"--time-unit {chosen.time_unit}: is not a unit of time; give one of {units}")
+    stated = {
+        "time": time,
+        "time_unit": time_unit,
+        "temperature_unit": temperature_unit,
+        "flux_unit": flux_unit,
+        "thermocouple": thermocouple,
+        "reference_junction": reference_junction,
+        "period_s": period_s,
+        "separator": separator,
+        "decimal": decimal,
+        "dates": dates,
+        "repeated": repeated,
+        "sheet": sheet,
+        "lost": [*base.lost, *lost],
+    }
+    chosen = base.model_copy(update={key: value for key, value in stated.items() if value is not None})
+    _require_unit_of_time(chosen.time_unit)
     block = _long_as_wide(_with_unit_column(_block(path, chosen)))
     heads, signs = _heads(block, chosen)
     heads = _joined_dates(heads)
     heads, junction = _emf_as_temperature(block, heads, chosen)
-    columns = [_column(h) for h in heads]
-    columns = [replace(c, kind=UNUSED, reason="reference junction") if c.name == junction else c for c in columns]
+    columns = _unused([_column(h) for h in heads], {junction}, "reference junction")
     columns = _as_declared(path, columns, base)
     columns = _as_chosen(path, columns, chosen.time, temperatures, flux)
     clock, zero_s, notes = _time(block, heads, columns, chosen)
-    kept = np.flatnonzero(~np.isnan(clock.si))
-    columns = [clock, *(replace(c, kind=UNUSED, reason="another column is the time") if c.kind == TIME else c
-                        for c in columns if c.name != clock.name)]  # fmt: skip
-    by_name = {h.name: h for h in heads}
-    columns = [_with_unit(block, c, by_name[c.name], chosen, base) if c.kind in kinds else c for c in columns]
-    columns = _guessed(block, columns, kinds)
-    emfs = {h.name for h in heads if h.emf}  # without lost codes already; a time made of a period is no column
-    lost = {c.name: () if c.name in emfs else chosen.lost for c in columns}
-    columns = [_without_lost(block, c, lost[c.name]) if c.kind in kinds else c for c in columns]
-    columns, rows, row_notes = _rows_kept(block, columns, kept, kinds)
+    others = [c for c in columns if c.name != clock.name]
+    others = _unused(others, {c.name for c in others if c.kind == TIME}, "another column is the time")
+    columns = _readings(block, [clock, *others], heads, (chosen, base), kinds)
+    columns, rows, row_notes = _rows_kept(block, columns, kinds)
     named = f"names in line {block.names_line}" if block.has_names else "no names"
     measured = MeasuredCsv(
-        path, tuple(columns), rows, f"{block.about}, {signs.words}, {named}, {len(rows)} rows", zero_s,
+        path,
+        tuple(columns),
+        rows,
+        f"{block.about}, {signs.words}, {named}, {len(rows)} rows",
+        zero_s,
         "" if "counted from" not in clock.reason else "midnight" if clock.reason.startswith("clock") else "1970",
-        _stated(chosen, block, signs, columns, heads), (*block.notes, *notes, *row_notes),
-    )  # fmt: skip
+        _stated(chosen, block, signs, columns, heads),
+        (*block.notes, *notes, *row_notes),
+    )
     measured = _with_distinct_times(measured, chosen.repeated)
     _warn_of_guesses(measured, kinds)
     if TEMPERATURE in kinds:
@@ -267,11 +277,42 @@ def read_measured_csv(
     return measured
 
 
+def _require_unit_of_time(unit: str | None) -> None:
+    if unit is not None and unit not in CLOCKS and converted(unit, "s") is None:
+        raise InputError(f"--time-unit {unit}: is not a unit of time; give one of {', '.join((*DURATIONS, *CLOCKS))}")
+
+
+def _unused(columns: Sequence[CsvColumn], names: Collection[str], reason: str) -> list[CsvColumn]:
+    """Columns of which those of some names are not used."""
+    return [replace(c, kind=UNUSED, reason=reason) if c.name in names else c for c in columns]
+
+
+def _readings(
+    block: Block,
+    columns: list[CsvColumn],
+    heads: Sequence[_Head],
+    layouts: tuple[LoggerLayout, LoggerLayout],
+    kinds: Sequence[str],
+) -> list[CsvColumn]:
+    """Columns with units, and without lost samples, of the kinds that are needed.
+
+    layouts : the chosen one, and what other files of the recorder had in common
+    """
+    by_name = {h.name: h for h in heads}
+    columns = [_with_unit(block, c, by_name[c.name], *layouts) if c.kind in kinds else c for c in columns]
+    columns = _guessed(block, _without_counters(columns), kinds)
+    emfs = {h.name for h in heads if h.emf}  # without lost codes already; a time made of a period is no column
+    lost = {c.name: () if c.name in emfs else layouts[0].lost for c in columns}
+    return [_without_lost(block, c, lost[c.name]) if c.kind in kinds else c for c in columns]
+
+
 def _block(path: Path, chosen: LoggerLayout) -> Block:
     """The rows of data of a file of any kind."""
     kind = kind_of_file(path)
     if not kind:
         text = decoded(path)
+        if text.lstrip().startswith("{"):
+            return json_block(path, text)
         return lvm_block(path, text, chosen.sheet) if is_lvm(text) else text_block(path, text, chosen.separator)
     table = read_table(path, kind, chosen.sheet)
     if isinstance(table, Block):
@@ -287,11 +328,10 @@ def _with_unit_column(block: Block) -> Block:
 
     raises : InputError where that column holds several units
     """
-    k = next(
-        (k for k, n in enumerate(block.names) if re.fullmatch(r"(?i)(temp\w*[ _])?units?|einheit", n.strip())), None
-    )
-    if k is None:
+    called = [k for k, n in enumerate(block.names) if re.fullmatch(r"(?i)(temp\w*[ _])?units?|einheit", n.strip())]
+    if not called:
         return block
+    k = called[0]
     units = sorted({c for c in block.column(k) if c})
     if len(units) > 1 and any(converted(u, "K") for u in units):
         i = next(i for i, c in enumerate(block.column(k)) if c and c != block.column(k)[0])
@@ -300,13 +340,14 @@ def _with_unit_column(block: Block) -> Block:
         )
     if len(units) != 1 or converted(units[0], "K") is None:
         return block
-    quantities = list(SI_UNITS.values())
+    stated = zip(block.names, block.units, strict=True)
+    return replace(block, units=tuple(unit or (units[0] if _lacks_unit(name) else "") for name, unit in stated))
+
+
+def _lacks_unit(name: str) -> bool:
+    """Whether a column is one of readings by its name, which states no unit."""
     readings = rf"{HEADS[3][1]}|{HEADS[4][1]}|[Vv]alue"
-    is_open = [
-        not unit and not name_and_unit(name, quantities)[1] and re.search(readings, name) is not None
-        for name, unit in zip(block.names, block.units, strict=True)
-    ]
-    return replace(block, units=tuple(units[0] if o else u for o, u in zip(is_open, block.units, strict=True)))
+    return not name_and_unit(name, list(SI_UNITS.values()))[1] and re.search(readings, name) is not None
 
 
 def _long_as_wide(block: Block) -> Block:
@@ -324,32 +365,38 @@ def _long_as_wide(block: Block) -> Block:
     readings = _readings_by_stamp(block, stamps, label, value)
     sensors = list(dict.fromkeys(block.column(label)))
     by_row = ([*stamp, *(row.get(s, "") for s in sensors)] for stamp, row in readings.items())
-    bare, unit = name_and_unit(block.names[value], list(SI_UNITS.values()))
-    kind = bare if re.search(HEADS[3][1], bare) else ""
-    names = [f"{s} [{unit}]" if unit else s for s in sensors] if kind or unit else sensors
+    _, unit = name_and_unit(block.names[value], list(SI_UNITS.values()))
+    names = [f"{s} [{unit}]" for s in sensors] if unit else sensors
     first = {stamp: i for i, stamp in reversed(list(enumerate(stamps)))}
     return replace(
-        block, names=(*(block.names[k] for k in times), *names),
-        units=(*(block.units[k] for k in times), *(block.units[value] for _ in sensors)),
-        cells=tuple(list(c) for c in zip(*by_row, strict=True)),
-        lines=tuple(block.lines[first[stamp]] for stamp in readings), about=f"{block.about}, one row a sensor",
-    )  # fmt: skip
+        block,
+        names=(*(block.names[k] for k in times), *names),
+        units=(*(block.units[k] for k in times), *[block.units[value]] * len(sensors)),
+        cells=tuple(map(list, zip(*by_row, strict=True))),
+        lines=tuple(block.lines[first[stamp]] for stamp in readings),
+        about=f"{block.about}, one row a sensor",
+    )
 
 
 def _columns_of_a_long_table(block: Block) -> tuple[list[int], int, int] | None:
     """Columns of the time, of the names of sensors, and of their readings; None where these are not one each."""
-    probes = [block.column(k)[:200] for k in range(len(block.names))]
-    has_number = [any(is_number(c) for c in cells) for cells in probes]
-    has_clock = [any(is_clock(c) for c in cells) for cells in probes]
-    texts = [k for k, cells in enumerate(probes) if not has_number[k] and not has_clock[k] and any(cells)]
-    is_time = [re.search(HEADS[0][1], name) is not None for name in block.names]
-    labels = [k for k in texts if _may_name_sensors(block, k)]
-    numbers = [
-        k for k, name in enumerate(block.names)
-        if has_number[k] and not has_clock[k] and not is_time[k] and not re.fullmatch(COUNTER, name)
-    ]  # fmt: skip
-    times = [k for k, named in enumerate(is_time) if named and k not in texts]
+    times, labels, numbers = [], [], []
+    for k, name in enumerate(block.names):
+        holds = _cells_hold(block.column(k)[:200])
+        if re.search(HEADS[0][1], name):
+            times += [k] if holds != "text" else []
+        elif holds == "number" and not re.fullmatch(COUNTER, name):
+            numbers.append(k)
+        if holds == "text" and _may_name_sensors(block, k):
+            labels.append(k)
     return (times, labels[0], numbers[0]) if len(labels) == len(numbers) == 1 and times else None
+
+
+def _cells_hold(cells: Sequence[str]) -> str:
+    """What cells hold: `clock`, `number`, `text`, or nothing."""
+    if any(map(is_clock, cells)):
+        return "clock"
+    return "number" if any(map(is_number, cells)) else "text" if any(cells) else ""
 
 
 def _may_name_sensors(block: Block, k: int) -> bool:
@@ -384,8 +431,8 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     if chosen.time_unit == "hhmmss":
         as_clock = [with_colons(c) if re.search(HEADS[0][1], n) else c for n, c in zip(names, block.cells, strict=True)]
         block = replace(block, cells=tuple(as_clock))
-    clocks = [k for k in range(len(names)) if _mostly(block.column(k), is_clock)]
-    signs = number_signs(block, [k for k in range(len(names)) if k not in clocks], chosen.decimal)
+    clocks = {k for k in range(len(names)) if _mostly(block.column(k), is_clock)}
+    signs = number_signs(block, sorted({*range(len(names))} - clocks), chosen.decimal)
     heads = []
     for k, (name, unit) in enumerate(zip(names, stated, strict=True)):
         cells = block.column(k)
@@ -406,6 +453,8 @@ def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
             name, unit_in_name = head, ""  # T_s is a surface, and no time
         if not unit_in_name and (raw := re.fullmatch(RAW, name)):
             name, unit_in_name = raw[1], raw[2]
+        if factor := re.fullmatch(FACTOR, name):
+            name, unit_in_name = factor[1], f"{unit_in_name} {factor[2]}".strip()
         names.append(name if name not in names else f"{name} {k + 1}")
         stated.append(unit.strip("-") or unit_in_name)
     return names, stated
@@ -464,17 +513,19 @@ def _with_date(heads: list[_Head]) -> list[_Head]:
         return heads
     layout = f"{day[1].layout} in `{day[0].name}`, {hours[1].layout}"
     clock = Clock(day[1].seconds + hours[1].seconds, day[1].day_s, True, layout)
-    return [replace(h, clock=clock) if h is hours[0] else replace(h, clock=None) if h is day[0] else h for h in heads]
+    joined = {id(hours[0]): clock, id(day[0]): None}
+    return [replace(h, clock=joined.get(id(h), h.clock)) for h in heads]
 
 
 def _with_milliseconds(heads: list[_Head]) -> list[_Head]:
-    ms = next((h for h in heads if h.name.lower() in ("ms", "msec", "millisecond", "milliseconds")), None)
+    called = [h for h in heads if h.name.lower() in ("ms", "msec", "millisecond", "milliseconds")]
     timed, clock = next(((h, h.clock) for h in heads if h.clock is not None and h.clock.has_time), (None, None))
-    if ms is None or clock is None:
+    if not called or clock is None:
         return heads
+    ms = called[0]
     part_s = ms.numbers.values / 1e3
-    in_whole_seconds = np.all(np.mod(clock.seconds, 1.0) == 0.0) and np.any(np.diff(clock.seconds) == 0.0)
-    if not in_whole_seconds or not np.all((part_s >= 0.0) & (part_s < 1.0)):
+    is_whole = np.all(np.mod(clock.seconds, 1.0) == 0.0) and np.any(np.diff(clock.seconds) == 0.0)
+    if not (is_whole and np.all((part_s >= 0.0) & (part_s < 1.0))):
         return heads
     finer = replace(clock, seconds=clock.seconds + part_s, layout=f"{clock.layout}, ms in `{ms.name}`")
     return [replace(h, clock=finer) if h is timed else h for h in heads]
@@ -483,38 +534,50 @@ def _with_milliseconds(heads: list[_Head]) -> list[_Head]:
 def _column(head: _Head) -> CsvColumn:
     """A column with what its name, its unit and its cells say about it."""
     name, values = head.name, head.numbers.values
-    unit = head.stated or head.numbers.unit
     if head.clock is not None:
         return CsvColumn(name, TIME, "s", head.clock.seconds, head.clock.layout)
-    by_unit = next((kind for kind, si in SI_UNITS.items() if unit and converted(unit, si)), None)
-    by_name = next((kind for kind, pattern in HEADS if re.search(pattern, name)), UNUSED)
-    empty = _reason_of_few_numbers(head)
-    if empty:
+    if empty := _reason_of_few_numbers(head):
         return CsvColumn(name, UNUSED, "", values, empty)
+    kind, unit, reason = _kind_of(head)
     lost = len(values) - int(np.count_nonzero(np.isfinite(values)))
-    texts = sorted(head.numbers.texts)[:2]
-    note = f"; {lost} lost samples{' (' + ', '.join(texts) + ')' if texts else ''}" if lost else ""
-    if re.search(UNCERTAIN, name):
-        return CsvColumn(name, UNUSED, "", values, "an uncertainty, by its name" + note)
+    texts = ", ".join(sorted(head.numbers.texts)[:2])
+    note = f"; {lost} lost samples{f' ({texts})' if texts else ''}" if lost else ""
+    return CsvColumn(name, kind, unit, values, reason + note)
+
+
+def _kind_of(head: _Head) -> tuple[str, str, str]:
+    """Kind of a column, its unit where the kind follows from it, and why."""
+    name, unit = head.name, head.unit
+    by_unit, by_name = _kind_by_unit(unit), _kind_by_name(name)
+    for pattern, meaning in ((UNCERTAIN, "an uncertainty"), (DIFFERENCE, "a difference")):
+        if re.search(pattern, name):
+            return UNUSED, "", f"{meaning}, by its name"
     if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
-        return CsvColumn(name, UNUSED, "", values, "a counter, by its name" + note)
-    if by_unit is not None and not (by_unit == TIME and by_name == TEMPERATURE):
-        return CsvColumn(name, by_unit, unit, values, (head.emf or f"unit {unit}") + note)
+        return UNUSED, "", "a counter, by its name"
+    may_be_a_minimum = (by_unit, by_name) == (TIME, TEMPERATURE) and unit.strip().lower() == "min"
+    if by_unit != UNUSED and not may_be_a_minimum:
+        return by_unit, unit, head.emf or f"unit {unit}"
     if by_name == UNUSED:
-        return CsvColumn(name, UNUSED, "", values, "name and unit say nothing" + note)
-    is_reading = by_name == TIME or not re.search(NO_READING, name)
-    reason = f"name `{name}`" if is_reading else "accompanies readings, by its name"
-    return CsvColumn(name, by_name if is_reading else UNUSED, "", values, reason + note)
+        return UNUSED, "", "name and unit say nothing"
+    if by_name != TIME and re.search(NO_READING, name):
+        return UNUSED, "", "accompanies readings, by its name"
+    return by_name, "", f"name `{name}`"
+
+
+def _kind_by_unit(unit: str) -> str:
+    return next((kind for kind, si in SI_UNITS.items() if unit and converted(unit, si)), UNUSED)
+
+
+def _kind_by_name(name: str) -> str:
+    return next((kind for kind, pattern in HEADS if re.search(pattern, name)), UNUSED)
 
 
 def _reason_of_few_numbers(head: _Head) -> str:
     """Why a column is not read, where most of its cells hold no number; empty for others, and for a time."""
     count = int(np.count_nonzero(np.isfinite(head.numbers.values)))
     full = sum(bool(c) for c in head.cells)
-    if (count and 2 * count >= full) or any(re.search(pattern, head.name) for _, pattern in HEADS[:2]):
-        return ""
-    is_named = any(re.search(pattern, head.name) for kind, pattern in HEADS if kind in (TEMPERATURE, FLUX))
-    if is_named and head.numbers.torn >= 0:
+    named = {kind for kind, pattern in HEADS if re.search(pattern, head.name)}
+    if (count and 2 * count >= full) or TIME in named or (named and head.numbers.torn >= 0):
         return ""
     return "most cells hold no number" if full else "all cells are empty"
 
@@ -538,7 +601,7 @@ def _emf_as_temperature(block: Block, heads: list[_Head], chosen: LoggerLayout) 
     reference_K, column = _reference_junction_K(block, heads, junction)
     converted_heads = []
     for head in heads:
-        unit = head.stated or head.numbers.unit
+        unit = head.unit
         if head.name != column and is_emf(unit) and not re.search(NO_READING, head.name):
             read = _without_codes(block, CsvColumn(head.name, TEMPERATURE, unit, head.numbers.values, ""), chosen.lost)
             emf = EmfColumn(f"{file}, column {head.name}", unit, read.values, block.lines)
@@ -562,7 +625,7 @@ def _reference_junction_K(block: Block, heads: Sequence[_Head], junction: str) -
             return quantity(junction, "K", "--reference-junction", "--reference-junction 25degC"), ""
         except InputError as error:
             raise InputError(f"{error}{suggestion(junction, names)}") from None
-    unit = head.stated or head.numbers.unit
+    unit = head.unit
     to_K = converted(unit, "K")
     if not unit or to_K is None:
         rule = f"states `{unit}`, no unit of temperature" if unit else "states no unit of temperature"
@@ -587,6 +650,12 @@ def _named(path: Path, columns: list[CsvColumn], name: str, option: str) -> int:
     raise InputError(f"{option} {name}: there is no such column in {display_path(path)}{hint}")
 
 
+def _as_kind(column: CsvColumn, kind: str, reason: str) -> CsvColumn:
+    """A column of another kind, without its unit where that is none of this kind."""
+    unit = column.unit if column.unit and converted(column.unit, SI_UNITS[kind]) else ""
+    return replace(column, kind=kind, unit=unit, reason=reason)
+
+
 def _as_declared(path: Path, columns: list[CsvColumn], layout: LoggerLayout) -> list[CsvColumn]:
     """Columns of the kinds that a stated layout declares; others are not used."""
     if not layout.column:
@@ -596,8 +665,7 @@ def _as_declared(path: Path, columns: list[CsvColumn], layout: LoggerLayout) -> 
     ]
     for declared in layout.column:
         k = _named(path, columns, declared.name, "--layout: column")
-        unit = columns[k].unit if columns[k].unit and converted(columns[k].unit, SI_UNITS[declared.kind]) else ""
-        columns_of_layout[k] = replace(columns[k], kind=declared.kind, unit=unit, reason="--layout")
+        columns_of_layout[k] = _as_kind(columns[k], declared.kind, "--layout")
     return columns_of_layout
 
 
@@ -605,21 +673,14 @@ def _as_chosen(
     path: Path, columns: list[CsvColumn], time: str | None, temperatures: tuple[str, ...], flux: str | None
 ) -> list[CsvColumn]:
     """Columns of the kinds that options state; where temperatures are named, others are not used."""
-    chosen = list(columns)
-    choices = [
-        (TIME, "--time", time),
-        (FLUX, "--lamp", flux),
-        *((TEMPERATURE, "--temperature", t) for t in temperatures),
-    ]
-    if temperatures:
-        chosen = [replace(c, kind=UNUSED, reason="not named") if c.kind == TEMPERATURE else c for c in chosen]
-    if time is not None:
-        chosen = [replace(c, kind=UNUSED, reason="not named") if c.kind == TIME else c for c in chosen]
+    choices = [(TIME, "--time", time), (FLUX, "--lamp", flux)]
+    choices += [(TEMPERATURE, "--temperature", t) for t in temperatures]
+    exclusive = {kind for kind, _, name in choices if name is not None} - {FLUX}
+    chosen = [replace(c, kind=UNUSED, reason="not named") if c.kind in exclusive else c for c in columns]
     for kind, option, name in choices:
         if name is not None:
             k = _named(path, columns, name, option)
-            unit = columns[k].unit if columns[k].unit and converted(columns[k].unit, SI_UNITS[kind]) else ""
-            chosen[k] = replace(columns[k], kind=kind, unit=unit, reason=f"{option} {name}")
+            chosen[k] = _as_kind(columns[k], kind, f"{option} {name}")
     return chosen
 
 
@@ -643,21 +704,30 @@ def _time(
         column = _best_time(readable, by_name)
         read = _number_time if by_name[column.name].clock is None else _clock_time
         return read(block, by_name[column.name], column, chosen)
-    if called:
-        head = by_name[called[0].name]
-        i = next((i for i, c in enumerate(head.cells) if c), 0)
-        raise InputError(
-            f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` is in no layout of a time that is "
-            "read; write it as "
-            "2024-05-03T10:45:00 or in seconds, or give --period 0.1s between rows"
-        )
     first = columns[0]
-    says_nothing = first.kind == UNUSED and first.reason.startswith("name and unit")
-    if not block.has_names and says_nothing and np.all(np.diff(first.values) > 0.0):
+    if not called and not block.has_names and _says_nothing(first) and np.all(np.diff(first.values) > 0.0):
         assumed = replace(first, kind=TIME, reason="no column is called time; this one increases")
         return _number_time(block, by_name[first.name], assumed, chosen)
-    file = display_path(block.path)
-    raise InputError(f"{file}: no column is a time; give {EXAMPLE}, or --period 0.1s between rows")
+    raise _no_time(block, by_name[called[0].name] if called else None)
+
+
+def _says_nothing(column: CsvColumn) -> bool:
+    return column.kind == UNUSED and column.reason.startswith("name and unit")
+
+
+def _no_time(block: Block, called: _Head | None) -> InputError:
+    """The error of a file of which no column is a time that is read.
+
+    called : a column that is called so
+    """
+    period = "--period 0.1s between rows"
+    if called is None:
+        return InputError(f"{display_path(block.path)}: no column is a time; give {EXAMPLE}, or {period}")
+    i = next((i for i, c in enumerate(called.cells) if c), 0)
+    return InputError(
+        f"{block.at(i, called.name)}: `{shown_cell(called.cells[i])}` is in no layout of a time that is read; write "
+        f"it as 2024-05-03T10:45:00 or in seconds, or give {period}"
+    )
 
 
 def _best_time(readable: Sequence[CsvColumn], by_name: Mapping[str, _Head]) -> CsvColumn:
@@ -727,7 +797,7 @@ def _number_time(
             "cell, or give --period"
         )
     _require_times(block, head, values)
-    stated = head.stated or head.numbers.unit
+    stated = head.unit
     if not stated and converted(head.name, "s") is not None and len(head.name) > 1:
         stated = head.name
     time_unit, guess, reason = _unit_of_time(block, head, column, stated, chosen.time_unit)
@@ -736,10 +806,12 @@ def _number_time(
     finite = np.flatnonzero(np.isfinite(values))
     first = float(values[finite[0]])
     unix = time_unit != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
-    if (time_unit == "day" and not stated and chosen.time_unit is None) or unix:
+    of_calendar = time_unit == "day" and first >= DAY_NUMBERS[0]  # those of Julian and of MATLAB are larger
+    if of_calendar or unix:
         # whole digits first: seconds since 1970 leave few behind the point
         t = np.round((values - first) * scale.factor, 6)
-        zero = scale(first) if unix else (first - 25569.0) * 86400.0
+        of_spreadsheet = of_calendar and first <= DAY_NUMBERS[1]
+        zero = scale(first) if unix else (first - 25569.0) * 86400.0 if of_spreadsheet else None
         column = replace(column, values=t, unit="s", reason=f"{reason}, counted from the first", guess=guess)
         return column, zero, []
     low, high, rule = LIMITS["time_s"]
@@ -783,22 +855,26 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
     for unit, size in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if UNIX_S[0] * size <= values.min() and values.max() <= UNIX_S[1] * size:
             return unit, "", f"{column.reason}; {unit} since 1970 by the size"
-    steps = np.diff(values)
-    step = float(np.median(steps)) if len(steps) else 1.0
-    if len(steps) and may_be_hhmmss(values):
+    step = float(np.median(np.diff(values))) if len(values) > 1 else 1.0
+    if len(values) > 1 and may_be_hhmmss(values):
         raise InputError(
             f"{display_path(block.path)}, column {head.name}: `{head.cells[0]}` may be a time of day or seconds; state "
             "--time-unit hhmmss or --time-unit s"
         )
-    if DAY_NUMBERS[0] <= values.min() and values.max() <= DAY_NUMBERS[1] and np.any(values % 1.0) and step < 0.05:
+    if _are_days(values) and step < 0.05:
         return "day", "", f"{column.reason}; days of a spreadsheet by the size"
-    if step < SHORTEST_STEP_S or step > LONGEST_STEP_S:
+    if not SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
         raise InputError(
-            f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are "
-            "hardly s; state it, "
-            f"--time-unit {'ms' if step > LONGEST_STEP_S else 's'}"
+            f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are hardly s; "
+            f"state it, --time-unit {'ms' if step > LONGEST_STEP_S else 's'}"
         )
     return "s", "no unit is stated: s assumed (--time-unit)", f"{column.reason}; no unit: s assumed"
+
+
+def _are_days(values: FloatArray) -> bool:
+    """Whether numbers may be days of a spreadsheet of this century, with their fractions."""
+    is_within = DAY_NUMBERS[0] <= values.min() and values.max() <= DAY_NUMBERS[1]
+    return bool(is_within and np.any(values % 1.0))
 
 
 def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
@@ -815,11 +891,26 @@ def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
         raise InputError(f"{block.at(i, head.name)}: {rule}")
 
 
+def _with_the_newest_last(measured: MeasuredCsv) -> MeasuredCsv:
+    """A file that begins with its newest row as one in the order of time, with a note; another one as it is."""
+    clock = measured.of_kind(TIME)[0]
+    if len(clock.values) < 3 or not np.all(np.diff(clock.values) < 0.0):
+        return measured
+    counted_s = float(clock.values[-1]) if "counted from the first" in clock.reason else 0.0
+    columns = tuple(
+        replace(c, values=c.values[::-1] - counted_s if c is clock else c.values[::-1]) for c in measured.columns
+    )
+    zero_s = None if measured.zero_s is None else measured.zero_s + counted_s
+    notes = (*measured.notes, "the rows run back in time: read from the last")
+    return replace(measured, columns=columns, rows=measured.rows[::-1], zero_s=zero_s, notes=notes)
+
+
 def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> MeasuredCsv:
     """A file whose times increase; rows of one time as the option states.
 
     raises : InputError with the first row of the file that does not come later, and the options that help
     """
+    measured = _with_the_newest_last(measured)
     clock = measured.of_kind(TIME)[0]
     t = clock.si
     steps = np.diff(t)
@@ -827,16 +918,11 @@ def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> Measure
         raise InputError(f"{display_path(measured.path)}: has {len(t)} row of readings; it needs two or more")
     back = np.flatnonzero(steps < 0.0) + 1
     if len(back):
-        help_ = "sort the rows"
-        if clock.reason.startswith(("clock", "dates")):
-            if abs(steps[back[0] - 1] + 3600.0) < 1800.0:
-                help_ = "as where summer time ends: write UTC offsets"
-            elif abs(steps[back[0] - 1] + 43200.0) < 1800.0:
-                help_ = "as on a clock of 12 hours: write AM and PM"
+        step_s = steps[back[0] - 1]
+        deed = _deed_about_a_step_back(clock, step_s)
         raise InputError(
-            f"{measured.line(int(back[0]))}, column {clock.name}: does not come after the row above, "
-            f"{-steps[back[0] - 1]:g} s "
-            f"earlier; {help_}, or give --period{and_more_rows(back.size)}"
+            f"{measured.line(int(back[0]))}, column {clock.name}: does not come after the row above, {-step_s:g} s "
+            f"earlier; {deed}, or give --period{and_more_rows(back.size)}"
         )
     repeats = np.flatnonzero(steps == 0.0) + 1
     if not len(repeats):
@@ -858,6 +944,16 @@ def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> Measure
     reason = f"{clock.reason}; --repeated spread"
     even = replace(clock, values=np.round(_spread(t, begins), 9), unit="s", reason=reason)
     return replace(measured, columns=tuple(even if c is clock else c for c in measured.columns))
+
+
+def _deed_about_a_step_back(clock: CsvColumn, step_s: float) -> str:
+    """What to do about a time that goes back by a step [s]."""
+    if clock.reason.startswith(("clock", "dates")):
+        if abs(step_s + 3600.0) < 1800.0:
+            return "as where summer time ends: write UTC offsets"
+        if abs(step_s + 43200.0) < 1800.0:
+            return "as on a clock of 12 hours: write AM and PM"
+    return "sort the rows"
 
 
 def _spread(t: FloatArray, begins: NDArray[np.intp]) -> FloatArray:
@@ -894,9 +990,6 @@ def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayou
 
     raises : InputError where the file states a unit that is not known, or a cell is in another layout
     """
-    kind, si = column.kind, SI_UNITS[column.kind]
-    option = UNIT_OPTIONS[kind].split()[0]
-    file = display_path(block.path)
     if head.numbers.torn >= 0:
         i = head.numbers.torn
         raise InputError(
@@ -905,32 +998,51 @@ def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayou
             "state --decimal or --separator, or name the columns that are read, --temperature COLUMN"
         )
     declared = next((c.unit for c in layout.column if c.name == column.name and c.unit), None)
-    unit = declared or (chosen.temperature_unit if kind == TEMPERATURE else chosen.flux_unit)
+    unit = declared or (chosen.temperature_unit if column.kind == TEMPERATURE else chosen.flux_unit)
     if unit is not None:
-        if converted(unit, si) is None:
-            raise InputError(
-                f"{option} {unit}: is not a unit of {kind}; give {'K, degC or degF' if kind == TEMPERATURE else 'W/m2'}"
-            )
-        if unit == declared and column.unit and converted(column.unit, si) != converted(unit, si):
-            raise InputError(
-                f"{file}, column {column.name}: the file says {column.unit}, and --layout {unit}; correct the layout"
-            )
-        _warn_of_other_unit(block.path, column, unit, option)
-        return replace(column, unit=unit, reason=f"{column.reason}; {option}")
-    if column.unit:
-        return column
-    stated = head.stated or head.numbers.unit
-    if stated and not re.fullmatch(REMARK, stated.strip()):
-        state = (
-            f"{THERMOCOUPLE_EXAMPLE} for an emf,"
-            if is_emf(stated) and kind == TEMPERATURE
-            else f"{UNIT_OPTIONS[kind]},"
-        )
+        return _with_stated_unit(block.path, column, unit, unit == declared)
+    stated = head.unit
+    if stated and not column.unit and not re.fullmatch(REMARK, stated.strip()):
+        is_voltage = is_emf(stated) and column.kind == TEMPERATURE
+        state = f"{THERMOCOUPLE_EXAMPLE} for an emf" if is_voltage else UNIT_OPTIONS[column.kind]
         raise InputError(
-            f"{file}, column {column.name}: `{stated}` is not a unit of {kind} that is known; state it, "
-            f"{state} or name the columns that are read, --temperature COLUMN"
+            f"{display_path(block.path)}, column {column.name}: `{stated}` is not a unit of {column.kind} that is "
+            f"known; state it, {state}, or name the columns that are read, --temperature COLUMN"
         )
     return column
+
+
+def _without_counters(columns: list[CsvColumn]) -> list[CsvColumn]:
+    """Columns without those that count the rows, such as `TC run` with 1, 2, 3, beside a temperature that states its
+    unit."""
+    if not any(c.kind == TEMPERATURE and c.unit for c in columns):
+        return columns
+    return [
+        replace(c, kind=UNUSED, reason="it counts the rows")
+        if c.kind == TEMPERATURE and not c.unit and len(c.values) > 2 and np.all(np.diff(c.values) == 1.0)
+        else c
+        for c in columns
+    ]
+
+
+def _with_stated_unit(path: Path, column: CsvColumn, unit: str, is_declared: bool) -> CsvColumn:
+    """A temperature or a flux in a unit that an option states, or a layout.
+
+    raises : InputError where it is none of this kind, or that of a layout is not the one of the file
+    """
+    kind, si = column.kind, SI_UNITS[column.kind]
+    option = UNIT_OPTIONS[kind].split()[0]
+    if converted(unit, si) is None:
+        raise InputError(
+            f"{option} {unit}: is not a unit of {kind}; give {'K, degC or degF' if kind == TEMPERATURE else 'W/m2'}"
+        )
+    if is_declared and column.unit and converted(column.unit, si) != converted(unit, si):
+        raise InputError(
+            f"{display_path(path)}, column {column.name}: the file says {column.unit}, and --layout {unit}; correct "
+            "the layout"
+        )
+    _warn_of_other_unit(path, column, unit, option)
+    return replace(column, unit=unit, reason=f"{column.reason}; {option}")
 
 
 def _guessed(block: Block, columns: list[CsvColumn], kinds: Sequence[str]) -> list[CsvColumn]:
@@ -940,22 +1052,21 @@ def _guessed(block: Block, columns: list[CsvColumn], kinds: Sequence[str]) -> li
     """
     open_ = [c for c in columns if c.kind in kinds and not c.unit]
     starts = {c.name: _start(c) for c in open_ if c.kind == TEMPERATURE}
-    unit = ""
-    if starts:
-        finite = [x for x in starts.values() if np.isfinite(x)]
-        cold = sum(ROOM_C[0] <= x <= ROOM_C[1] for x in finite)
-        if any(ROOM_K[0] <= x <= ROOM_K[1] for x in finite) and min(finite) >= ROOM_K[0]:
-            unit = "K"
-        elif cold and max(finite) < ROOM_K[0]:
-            unit = "degC"
-        else:
-            odd = next((n for n, x in starts.items() if not ROOM_C[0] <= x <= ROOM_C[1]), next(iter(starts)))
-            raise InputError(
-                f"{display_path(block.path)}, column {odd}: begins at {starts[odd]:g}, in no unit that is "
-                "known; state it, "
-                "--temperature-unit degC"
-            )
+    unit = _unit_of_starts([x for x in starts.values() if np.isfinite(x)])
+    if starts and not unit:
+        odd = next((n for n, x in starts.items() if not ROOM_C[0] <= x <= ROOM_C[1]), next(iter(starts)))
+        raise InputError(
+            f"{display_path(block.path)}, column {odd}: begins at {starts[odd]:g}, in no unit that is known; state it, "
+            "--temperature-unit degC"
+        )
     return [_with_guess(c, unit, starts.get(c.name)) if c in open_ else c for c in columns]
+
+
+def _unit_of_starts(starts: Sequence[float]) -> str:
+    """Unit in which one of several first readings is that of a room, and none is colder; empty where there is none."""
+    if any(ROOM_K[0] <= x <= ROOM_K[1] for x in starts) and min(starts) >= ROOM_K[0]:
+        return "K"
+    return "degC" if any(ROOM_C[0] <= x <= ROOM_C[1] for x in starts) and max(starts) < ROOM_K[0] else ""
 
 
 def _start(column: CsvColumn) -> float:
@@ -1058,11 +1169,16 @@ def _warn_of_rows(block: Block, name: str, rows: NDArray[np.intp], values: Float
     """Warn of the readings of some rows, if there are any."""
     if not len(rows):
         return
-    where = ", ".join(str(block.lines[i]) for i in rows[:NAMED_ROWS])
-    rest = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
     shown = ", ".join(dict.fromkeys(f"{values[i]:g}" for i in rows))
-    plural = "rows" if len(rows) > 1 else "row"
-    warnings.warn(f"{display_path(block.path)}, {plural} {where}{rest}, column {name}: {shown} {rule}", stacklevel=2)
+    where = _rows_in_words(block.lines, rows)
+    warnings.warn(f"{display_path(block.path)}, {where}, column {name}: {shown} {rule}", stacklevel=2)
+
+
+def _rows_in_words(lines: Sequence[int], rows: NDArray[np.intp]) -> str:
+    """`rows 3, 4, 5, 8, 9 (and 7 more)`."""
+    where = ", ".join(str(lines[i]) for i in rows[:NAMED_ROWS])
+    rest = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
+    return f"{'rows' if len(rows) > 1 else 'row'} {where}{rest}"
 
 
 def _name_far_off(measured: MeasuredCsv) -> None:
@@ -1070,37 +1186,27 @@ def _name_far_off(measured: MeasuredCsv) -> None:
     for column in measured.of_kind(TEMPERATURE):
         rows = np.flatnonzero(far_off(column.values))
         if len(rows):
-            where = ", ".join(str(measured.rows[i]) for i in rows[:NAMED_ROWS])
-            rest = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
             shown = ", ".join(f"{column.values[i]:g}" for i in rows[:NAMED_ROWS])
-            plural = "rows" if len(rows) > 1 else "row"
+            where = f"{display_path(measured.path)}, {_rows_in_words(measured.rows, rows)}"
             warnings.warn(
-                f"{display_path(measured.path)}, {plural} {where}{rest}, column {column.name}: {shown} "
-                f"{column.unit} lies far off its "
+                f"{where}, column {column.name}: {shown} {column.unit} lies far off its "
                 f"neighbours and stays; leave it out by --lost={column.values[rows[0]]:g} where it is no reading",
                 stacklevel=2,
             )
 
 
 def _rows_kept(
-    block: Block, columns: list[CsvColumn], kept: np.ndarray, kinds: Sequence[str]
+    block: Block, columns: list[CsvColumn], kinds: Sequence[str]
 ) -> tuple[list[CsvColumn], tuple[int, ...], list[str]]:
     """Rows in which a column that is used has a reading; others say nothing, such as those that mark an event."""
     used = [c for c in columns if c.kind in kinds]
-    if not used:
-        return columns, block.lines, []
-    read = np.any([np.isfinite(c.values) for c in used], axis=0)
-    rows = np.flatnonzero(read)
-    blank = np.flatnonzero(~read)
-    has_lost = any(np.any(np.isnan(c.values)) for c in used)
-    if not len(blank) or not has_lost or len(rows) == 0:
+    rows = np.flatnonzero(np.any([np.isfinite(c.values) for c in used], axis=0)) if used else np.zeros(0, dtype=int)
+    if not len(rows):
         return columns, block.lines, []
     # a lost sample of all sensors between others is kept as such
-    ends = blank[(blank < rows[0]) | (blank > rows[-1])]
-    marked = [
-        i for i in blank if all(not block.cells[k][i] for k in range(len(block.names)) if _is_used(block, k, used))
-    ]
-    out = sorted({int(i) for i in ends} & {int(i) for i in marked})
+    ends = (*range(rows[0]), *range(rows[-1] + 1, len(used[0].values)))
+    cells = [block.cells[k] for k in range(len(block.names)) if _is_used(block, k, used)]
+    out = [i for i in ends if not any(of_column[i] for of_column in cells)]
     if not out:
         return columns, block.lines, []
     stay = np.setdiff1d(np.arange(len(block.lines)), out)
@@ -1118,17 +1224,10 @@ def _stated(
 ) -> LoggerLayout:
     """The layout as it was read: units where the file states none itself, which each file may state anew."""
     clock = next(c for c in columns if c.kind == TIME)
-    unit_of = {h.name: h.stated or h.numbers.unit for h in heads}
-    has_own = {c.name for c in columns if c.kind in SI_UNITS and converted(unit_of.get(c.name, ""), SI_UNITS[c.kind])}
-    used = [
-        LayoutColumn(
-            name=c.name,
-            kind="temperature" if c.kind == TEMPERATURE else "heat flux",
-            unit=None if c.name in has_own else c.unit,
-        )
-        for c in columns
-        if c.kind in (TEMPERATURE, FLUX) and c.unit
-    ]
+    unit_of = {h.name: h.unit for h in heads}
+    has_own = {c.name for c in columns if c.kind == _kind_by_unit(unit_of.get(c.name, "")) != UNUSED}
+    readings = [c for c in columns if c.kind in (TEMPERATURE, FLUX) and c.unit]
+    used = [_layout_column(c, c.name in has_own) for c in readings]
     states_unit = "counted from" in clock.reason or clock.name in has_own
     return chosen.model_copy(
         update={
@@ -1142,6 +1241,11 @@ def _stated(
             "flux_unit": None,
         }
     )
+
+
+def _layout_column(column: CsvColumn, states_unit: bool) -> LayoutColumn:
+    kind: Literal["temperature", "heat flux"] = "temperature" if column.kind == TEMPERATURE else "heat flux"
+    return LayoutColumn(name=column.name, kind=kind, unit=None if states_unit else column.unit)
 
 
 def _order_of_dates(clock: CsvColumn) -> str | None:

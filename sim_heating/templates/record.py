@@ -474,8 +474,10 @@ def write_new_record(
     sources = {"thermocouples.csv": source_of_readings(measured), "conditions.csv": article.heat.source}
     with (
         output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
-        said_of_options(out), said_of_sources(sources, out), shown_at(folder, out),
-    ):  # fmt: skip
+        said_of_options(out),
+        said_of_sources(sources, out),
+        shown_at(folder, out),
+    ):
         write_text_atomic(folder / DECLARATION, text)
         write_csv(folder / "conditions.csv", article.heat.columns)
         write_csv(folder / "thermocouples.csv", readings)
@@ -516,9 +518,13 @@ OPTIONS = {
 }
 """Place in record.toml -> the option that states what is there."""
 KEYS = {
-    "nose_radius_m": "--nose-radius", "running_length_m": "--running-length", "sweep_deg": "--sweep",
-    "local_angle_deg": "--local-angle", "recovery": "--recovery", "reference": "--reference",
-}  # fmt: skip
+    "nose_radius_m": "--nose-radius",
+    "running_length_m": "--running-length",
+    "sweep_deg": "--sweep",
+    "local_angle_deg": "--local-angle",
+    "recovery": "--recovery",
+    "reference": "--reference",
+}
 """Key of [heating] -> the option that states it."""
 
 

@@ -49,12 +49,10 @@ from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.base.parameters import LAYER_SLOTS
 from sim_heating.heating.ratio.lookup import write_order
 
-(
-    COATING_THICKNESS, COATING_CONDUCTIVITY, COATING_CAPACITY, RSI_CONDUCTIVITY, RSI_CAPACITY,
-    CONDUCTIVITY_SLOPE, CONDUCTIVITY_DECADE, CAPACITY_SLOPE, EMISSIVITY, RADIATIVE, RADIATION_FROM,
-    LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH, CARRIED, GAP_FRACTION, GAP_DEPTH, CONTACT,
-    H_BEHIND, T_BEHIND, EPS_BEHIND,
-) = range(23)  # fmt: skip
+COATING_THICKNESS, COATING_CONDUCTIVITY, COATING_CAPACITY, RSI_CONDUCTIVITY, RSI_CAPACITY = range(5)
+CONDUCTIVITY_SLOPE, CONDUCTIVITY_DECADE, CAPACITY_SLOPE, EMISSIVITY, RADIATIVE, RADIATION_FROM = range(5, 11)
+LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH, CARRIED, GAP_FRACTION, GAP_DEPTH, CONTACT = range(11, 20)
+H_BEHIND, T_BEHIND, EPS_BEHIND = range(20, 23)
 """Indices of the parameters of parameters.STACK, in their order."""
 OWN = EPS_BEHIND + 1
 """Index of the first parameter of a layer by its own name; behind those of parameters.STACK, slot by slot."""

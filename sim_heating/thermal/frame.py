@@ -91,10 +91,9 @@ from sim_heating.thermal.step import (
 
 EVALUATE_START = 0.0
 """Length [s] of a frame that only evaluates the start."""
-STAGE_ROWS = (
-    FILM, RECOVERY, ADDED, PCOL, PFRAC, AIR_PLACE, R_BASE, LAG_VALUE, LAG_INPUT, STAGE_SURROUNDINGS4, STAGE_BACK_T,
-    STAGE_NATURAL, VENTED, PAST_ONSET, STEP_FACTOR,
-)  # fmt: skip
+_OF_HEATING = (FILM, RECOVERY, ADDED, PCOL, PFRAC, AIR_PLACE, R_BASE, LAG_VALUE, LAG_INPUT)
+_OF_SURROUNDINGS = (STAGE_SURROUNDINGS4, STAGE_BACK_T, STAGE_NATURAL, VENTED, PAST_ONSET, STEP_FACTOR)
+STAGE_ROWS = (*_OF_HEATING, *_OF_SURROUNDINGS)
 """First rows of the quantities that have one row for each of the three stages."""
 STEP_TOLERANCE_K = 0.02
 """Largest error of one step at any node [K]. On an entry at steps of 1 s one step in a hundred exceeds it."""

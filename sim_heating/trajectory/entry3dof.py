@@ -43,13 +43,11 @@ def flight_block(spec: TrajectorySpec, aero: Aero, guidance: Guidance) -> FloatA
     file, stop, state = aero.file, spec.stop, spec.vehicle
     on_speed = state.bodyflap_deg is not None and state.bodyflap_against == "velocity_m_s"
     # A stop condition that is not given takes a value that is never passed: speed and Mach 0, altitude minus infinity.
-    scalars = (
-        aero.arm, aero.cm_shift, *file.cm_shift.mach, *file.elevon.range_deg,
-        pm.WGS84_MU_M3_S2, pm.WGS84_J2, pm.WGS84_ROTATION_RAD_S, pm.WGS84_RADIUS_M, pm.WGS84_FLATTENING,
-        aero.mass_kg, file.reference.area_m2, *file.bodyflap.range_deg, float(on_speed), file.lateral.CY_beta_rad,
-        stop.time_s, stop.mach or 0.0, stop.velocity_m_s or 0.0,
-        -np.inf if stop.altitude_m is None else stop.altitude_m,
-    )  # fmt: skip
+    trim = [aero.arm, aero.cm_shift, *file.cm_shift.mach, *file.elevon.range_deg]
+    planet = [pm.WGS84_MU_M3_S2, pm.WGS84_J2, pm.WGS84_ROTATION_RAD_S, pm.WGS84_RADIUS_M, pm.WGS84_FLATTENING]
+    body = [aero.mass_kg, file.reference.area_m2, *file.bodyflap.range_deg, float(on_speed), file.lateral.CY_beta_rad]
+    lowest_m = -np.inf if stop.altitude_m is None else stop.altitude_m
+    scalars = (*trim, *planet, *body, stop.time_s, stop.mach or 0.0, stop.velocity_m_s or 0.0, lowest_m)
     flap = state.bodyflap_deg or aero.bodyflap_schedule(guidance.alpha_deg, guidance.alpha_against)
     return pack(scalars, [*spec.dispersions.schedules, flap])
 

@@ -42,17 +42,13 @@ TOUCHDOWN_RATE_M_S = 1.0
 FLARE_GAIN = 4.0
 """Frequency of the flare over that of the approach: the altitude rate follows within 2 s."""
 
-(
-    TIME, ALTITUDE, SPEED, MACH, CLIMB, DRAG, LIFT, NET_GRAVITY, QBAR, ALPHA_NOW, HEADING, LATITUDE, LONGITUDE,
-) = range(13)  # fmt: skip
+(TIME, ALTITUDE, SPEED, MACH, CLIMB, DRAG, LIFT, NET_GRAVITY, QBAR, ALPHA_NOW, HEADING, LATITUDE, LONGITUDE) = range(13)
 OBSERVED = 13
 
-(
-    ALPHA_AXIS, ALPHA_LOW, ALPHA_HIGH, ALPHA_RATE, START_DRAG, FIRST_BANK, BANK_LOW, BANK_HIGH, BANK_RATE, FIRST_SIGN,
-    FREQUENCY, DAMPING, SCALE_HEIGHT, HAS_TARGET, TARGET_LATITUDE, TARGET_LONGITUDE, DEADBAND,
-    APPROACH_MACH, APPROACH_LOW, APPROACH_HIGH, APPROACH_BANK, APPROACH_FREQUENCY, APPROACH_DAMPING,
-    FLARE_ALTITUDE, FLARE_TIME,
-) = range(25)  # fmt: skip
+ALPHA_AXIS, ALPHA_LOW, ALPHA_HIGH, ALPHA_RATE, START_DRAG, FIRST_BANK, BANK_LOW, BANK_HIGH, BANK_RATE = range(9)
+FIRST_SIGN, FREQUENCY, DAMPING, SCALE_HEIGHT, HAS_TARGET, TARGET_LATITUDE, TARGET_LONGITUDE, DEADBAND = range(9, 17)
+APPROACH_MACH, APPROACH_LOW, APPROACH_HIGH, APPROACH_BANK, APPROACH_FREQUENCY, APPROACH_DAMPING = range(17, 23)
+FLARE_ALTITUDE, FLARE_TIME = range(23, 25)
 ALPHA_SCHEDULE, DRAG_SCHEDULE, REVERSALS, APPROACH_QBAR = schedule_positions(25, 4)
 
 ALPHA_COMMAND, BANK_COMMAND, SIGN, PHASE, CLIMB_BIAS = range(5)
@@ -136,12 +132,12 @@ def guidance_block(g: Guidance, first_bank_deg: float = 0.0) -> FloatArray:
     # Without an approach, one below a Mach number that no flight reaches: the kernel needs no case for it.
     a = g.approach or Approach(below_mach=1e-9, qbar_Pa=((0.0, 1.0),))
     target = (1.0, g.target.latitude_deg, g.target.longitude_deg, g.target.deadband_deg) if g.target else (0.0,) * 4
-    scalars = (
-        0.0 if g.alpha_against == "mach" else 1.0, *g.alpha_limits_deg, g.alpha_rate_deg_s,
-        g.start_drag_m_s2, first_bank_deg, *g.bank_limits_deg, g.bank_rate_deg_s,
-        1.0 if g.first_bank == "right" else -1.0, g.frequency_rad_s, g.damping, g.scale_height_m, *target,
-        a.below_mach, *a.alpha_limits_deg, a.bank_deg, a.frequency_rad_s, a.damping, a.flare_altitude_m, a.flare_time_s,
-    )  # fmt: skip
+    axis, first_sign = 0.0 if g.alpha_against == "mach" else 1.0, 1.0 if g.first_bank == "right" else -1.0
+    alpha = [axis, *g.alpha_limits_deg, g.alpha_rate_deg_s]
+    bank = [g.start_drag_m_s2, first_bank_deg, *g.bank_limits_deg, g.bank_rate_deg_s, first_sign]
+    control = [g.frequency_rad_s, g.damping, g.scale_height_m, *target]
+    approach = [a.below_mach, *a.alpha_limits_deg, a.bank_deg, a.frequency_rad_s, a.damping]
+    scalars = (*alpha, *bank, *control, *approach, a.flare_altitude_m, a.flare_time_s)
     reversals = [(v, 0.0) for v in sorted(g.reversals_m_s)]
     return pack(scalars, [g.alpha_deg, g.drag_m_s2, reversals, a.qbar_Pa])
 

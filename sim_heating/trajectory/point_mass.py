@@ -38,17 +38,13 @@ WGS84_ROTATION_RAD_S = 7.292115e-5
 WGS84_J2 = 1.08262982e-3
 """NIMA TR8350.2, third edition, tables 3.1 and 3.3 (J2 from the normalised C20)."""
 
-(
-    MU, J2, ROTATION, RADIUS, FLATTENING, MASS, AREA, FLAP_LOW, FLAP_HIGH, FLAP_AXIS, CY_BETA,
-    STOP_TIME, STOP_MACH, STOP_SPEED, STOP_ALTITUDE,
-) = range(6, 21)  # fmt: skip
+MU, J2, ROTATION, RADIUS, FLATTENING, MASS, AREA, FLAP_LOW, FLAP_HIGH, FLAP_AXIS, CY_BETA = range(6, 17)
+STOP_TIME, STOP_MACH, STOP_SPEED, STOP_ALTITUDE = range(17, 21)
 DENSITY, WIND_NORTH, WIND_EAST, FLAP_SCHEDULE = schedule_positions(21, 4)
 """Places in the block of a flight: scalars after those of `trimmed_aero`, then schedules."""
 
-(
-    T, X, Y, Z, VX, VY, VZ, ALPHA, BANK, BETA, D_ELEVON, D_FLAP, JETS, LAST_SPEED, LAST_MACH,
-    EXPECTED_TIME, EXPECTED_SPEED, EXPECTED_MACH, MEMORY,
-) = range(19)  # fmt: skip
+T, X, Y, Z, VX, VY, VZ, ALPHA, BANK, BETA, D_ELEVON, D_FLAP, JETS = range(13)
+LAST_SPEED, LAST_MACH, EXPECTED_TIME, EXPECTED_SPEED, EXPECTED_MACH, MEMORY = range(13, 19)
 STARTED = MEMORY + gd.MEMORY
 """Places in a flight's state; guidance memory from MEMORY, start times of manoeuvres from STARTED."""
 

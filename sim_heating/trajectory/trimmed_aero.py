@@ -27,9 +27,7 @@ from sim_heating.trajectory.guidance import clip
 ARM, CM_SHIFT, SHIFT_LOW, SHIFT_HIGH, ELEVON_LOW, ELEVON_HIGH = range(6)
 """First numbers of a flight's block: (x_cg - x_ref) / c, flight-found Cm, its Mach numbers, elevon travel [deg]."""
 
-(
-    MACHS, ALPHAS, FLAPS, ELEVONS, LOWS, AT_ALPHA, AT_FLAP, AT_ELEVON, AT_LOW, AT_CELLS, AT_MACH,
-) = range(11)  # fmt: skip
+(MACHS, ALPHAS, FLAPS, ELEVONS, LOWS, AT_ALPHA, AT_FLAP, AT_ELEVON, AT_LOW, AT_CELLS, AT_MACH) = range(11)
 """Head of a vehicle's aerodynamic block: numbers of Mach, alpha, body-flap, elevon and low-speed points, and where
 alpha, body-flap and elevon axes, low-speed rows and cells begin; the Mach axis follows the head. All tables use
 the Mach and alpha points of each of them. One cell for each (mach, alpha), alpha fastest, holds CN, CA, Cm of the basic

@@ -94,10 +94,12 @@ def test_a_change_of_text_or_of_what_no_kernel_imports_keeps_the_cache(package, 
     assert source_digest(package) == before
 
 
+@pytest.mark.thorough
 def test_the_digest_is_that_of_the_contents_wherever_they_are(package, tmp_path):
     assert source_digest(package) == source_digest(copy_of_kernels(tmp_path / "elsewhere"))
 
 
+@pytest.mark.thorough
 @posix
 def test_the_digest_is_kept_and_found_again_after_a_change_that_leaves_size_and_time_of_a_file(settled, tmp_path):
     package = settled
@@ -113,6 +115,7 @@ def test_the_digest_is_kept_and_found_again_after_a_change_that_leaves_size_and_
     assert known_digest(kept, package) == source_digest(package) != before
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @posix
 @pytest.mark.parametrize("damage", [b"", b"0123", b"\xff" * 16, b"no digest at all"])
@@ -127,15 +130,18 @@ def test_a_kept_digest_that_is_damaged_is_worked_out_again(settled, tmp_path, da
     assert file.read_text() == digest
 
 
+@pytest.mark.thorough
 def test_the_digest_is_found_where_none_can_be_kept(settled, tmp_path):
     assert known_digest(tmp_path / "absent", settled) == source_digest(settled)
 
 
+@pytest.mark.thorough
 def test_no_digest_is_kept_of_files_that_were_changed_a_moment_ago(package, tmp_path):
     assert known_digest(tmp_path, package) == source_digest(package)
     assert [path.name for path in tmp_path.iterdir()] == [package.name]
 
 
+@pytest.mark.thorough
 @posix
 def test_a_link_to_nothing_that_an_editor_left_is_no_source(settled, tmp_path):
     before = known_digest(tmp_path, settled)

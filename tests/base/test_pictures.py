@@ -91,6 +91,7 @@ def test_a_picture_of_a_page_that_fails_is_replaced_by_its_reason() -> None:
     assert b"This picture could not be drawn" in b64decode(url.partition(",")[2])
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["$$", r"a$\\frac{$b", "[/red]"])
 def test_a_record_with_such_names_is_predicted(

@@ -120,6 +120,7 @@ def test_package_at_the_true_parameters_explains_a_null_record_to_its_noise(numb
     assert np.nanmean(normalised**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / n) + 0.05)
 
 
+@pytest.mark.thorough
 def test_recorded_pressure_is_that_of_the_weight_of_the_recorded_density():
     recorded = made_of("null").case.recorded
     h, p, rho = (recorded[name] for name in ("altitude_m", "p_inf_Pa", "rho_kg_m3"))

@@ -166,6 +166,7 @@ def test_every_effect_of_a_closure_report_can_be_made():
     assert sorted(FAMILIES) == sorted(CONTRACT)
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("number", range(5))
 def test_error_at_the_truth_is_the_noise_floor(number):
@@ -178,6 +179,7 @@ def test_error_at_the_truth_is_the_noise_floor(number):
     assert rmse == pytest.approx(made.answer["noise_floor_K"], rel=4.0 / np.sqrt(2.0 * n) + 0.05)
 
 
+@pytest.mark.thorough
 def test_same_seed_makes_the_same_record_and_another_does_not():
     again, other = make(SEED, 1, "none"), make(SEED + 1, 1, "none")
     np.testing.assert_array_equal(again.measured_K, null_record(1).measured_K)

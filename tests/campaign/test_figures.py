@@ -177,6 +177,7 @@ def test_the_trend_in_segments_is_that_of_the_table_over_either_reference(flight
     assert not any(name.startswith("stagnation") for name in alone.tables[""])
 
 
+@pytest.mark.thorough
 def test_a_point_that_does_not_respond_to_the_elevon_is_said_not_to(flight: CampaignFlight) -> None:
     found = draw_figures([flight], [12], points={"elevon": "V09T9527"}).drawn[0]
     assert any("no significant response" in note or "no response" in note for note in found.notes)
@@ -205,6 +206,7 @@ def test_what_the_command_refuses_is_one_line(capsys: pytest.CaptureFixture[str]
         draw_figures([PRACTICE / "p06"], [9], reference="both of them")
 
 
+@pytest.mark.thorough
 def test_figures_of_a_record_that_states_no_manoeuvre(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     arguments = ["figures", str(PRACTICE / "p06"), "--only", "1-3,5", "--point", "lower=LS", "--out", str(out)]

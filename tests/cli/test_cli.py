@@ -117,6 +117,7 @@ def test_a_synthetic_record_is_valid_and_can_be_predicted(
     assert "good" in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_a_name_in_brackets_is_printed_unchanged(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(TILE, workdir / "[red] tile")
     assert main(["predict", "[red] tile", "--out", "[bold] out"]) == 0
@@ -374,6 +375,7 @@ def test_an_interrupt_while_modules_load_is_reported_in_one_line() -> None:
     assert (done.returncode, done.stderr) == (130, "interrupted: nothing was begun\n")
 
 
+@pytest.mark.thorough
 def test_a_cache_that_cannot_be_written_is_reported_in_one_line(workdir: Path) -> None:
     command = [sys.executable, "-m", "sim_heating", "fmu", "export", "orbiter", "--out", "x.fmu"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": "/proc/nowhere"}
@@ -446,6 +448,7 @@ def test_a_recorded_flight_in_another_unit_is_refused(
     assert f"column {column}" in only_line(capsys)
 
 
+@pytest.mark.thorough
 def test_predict_reports_a_negative_heating_ratio(record: Path, workdir: Path) -> None:
     lines = (record / "ratio_table.csv").read_text().splitlines()
     comments = [x for x in lines if x[0] == "#"]

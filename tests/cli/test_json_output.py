@@ -103,6 +103,7 @@ def test_a_number_that_is_not_finite_is_null(capsys: pytest.CaptureFixture[str])
     assert json.loads(capsys.readouterr().out)["results"] == {"sigma": [1.0, None], "margin_K": None, "n": 3}
 
 
+@pytest.mark.thorough
 def test_quiet_leaves_errors_and_warnings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["predict", str(TILE), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     output = capsys.readouterr()

@@ -229,6 +229,7 @@ def test_a_terminal_without_unicode_shows_escapes(workdir: Path) -> None:
     assert (workdir / "Läufe" / "summary.json").is_file()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text on this system")
 def test_a_record_whose_name_is_not_utf_8_is_predicted_under_that_name(workdir: Path) -> None:
     name = os.fsdecode(b"tile\xff")

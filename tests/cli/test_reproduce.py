@@ -76,6 +76,7 @@ def test_a_run_repeated_has_the_same_bytes_and_netcdf(home: Path, capsys: pytest
     assert found["same"] == found["files"]
 
 
+@pytest.mark.thorough
 def test_v_logs_what_is_written_to_standard_error(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["predict", "p06", "--out", "out", "-v"]) == 0
     assert "INFO sim_heating.base.files.results: predict: wrote" in capsys.readouterr().err

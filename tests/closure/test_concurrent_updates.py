@@ -105,6 +105,7 @@ def test_a_vehicle_is_free_again_where_its_writer_was_killed(workdir: Path) -> N
     assert not list(Path("orbiter").glob(".sim_heating*"))
 
 
+@pytest.mark.thorough
 def test_a_revert_leaves_no_folder_behind(workdir: Path) -> None:
     before = sorted(Path("orbiter").rglob("*"))
     update_and_write("first.json")

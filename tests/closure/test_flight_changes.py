@@ -54,6 +54,7 @@ def value_near(fit: TrialFit, value: float) -> bool:
     return abs(fit.value - value) < 4.0 * fit.sigma + 0.01 * abs(value - fit.change.neutral)
 
 
+@pytest.mark.thorough
 def test_a_clean_record_has_no_change_of_its_flight():
     assert fit_changes(declared(), flight.flight_changes(CLEAN)) == []
 
@@ -129,6 +130,7 @@ def test_the_model_on_the_changed_record_has_the_likelihood_of_the_fit():
     assert fit.held_out_log_likelihood > in_thin_air()[0].held_out_log_likelihood
 
 
+@pytest.mark.thorough
 def test_a_parameter_of_the_model_is_a_change_like_any_other():
     parameter = Parameter("stack.li900.conductivity_factor", "1", 1.0, 0.2, 0.1, 10.0)
     by_march = RecordChange("wall", "k", parameter, lambda r, v: r, lambda v: f"{v:g}", in_model=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from sim_heating.closure.plain_marches import plain_marches
 from sim_heating.closure.prior.model_error import flight_error
@@ -48,6 +49,7 @@ def test_the_flight_is_found_by_marches_where_its_linear_response_ends():
     assert rmse_K(plain_marches(fit)[0]) < 1.1 * noise_K
 
 
+@pytest.mark.thorough
 def test_a_flight_is_no_further_off_than_its_limit():
     problem = fitted(stated(6.0)).problem.without_heating_error().with_flight_unknowns(3.0)
     fit = maximise_together([problem], [np.zeros(len(problem.unknowns))], CONVERGE)[0]

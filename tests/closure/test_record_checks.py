@@ -44,6 +44,7 @@ def test_a_sound_record_has_no_fault():
     assert fault_of_magnitude(sound_record()) == ""
 
 
+@pytest.mark.thorough
 def test_residual_heating_without_one_thermocouple_is_finite_where_the_mesh_was_corrected():
     fitted = estimate([sound_record()])
     for sensor in sound_record().used_sensors:

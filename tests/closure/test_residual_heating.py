@@ -109,6 +109,7 @@ def flown(seed: int, size: float = RISE) -> tuple[Record, ResidualHeating, float
     return made, residual_heating(problem, np.zeros(1)), rise
 
 
+@pytest.mark.thorough
 def test_a_step_in_a_flight_with_recorder_words_and_lost_samples_is_recovered():
     record, found, rise = flown(3)
     t, ends = found.time_s, [BEGIN_S + 0.5, END_S + 0.5]

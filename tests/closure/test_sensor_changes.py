@@ -115,6 +115,7 @@ def test_an_unknown_effect_is_no_broken_thermocouple():
     assert not [c.what for c in sensor_changes(base) if "broken" in c.what or "swapped" in c.what]
 
 
+@pytest.mark.thorough
 def test_a_ripple_faster_than_a_heating_can_be_resolved_breaks_no_thermocouple():
     ripple = 12.0 * np.sin(2.0 * np.pi * TIME_S / 11.0)
     base = base_trial(estimate([with_readings(words=True, LS_surface=READ["LS_surface"] + ripple)]))
@@ -122,6 +123,7 @@ def test_a_ripple_faster_than_a_heating_can_be_resolved_breaks_no_thermocouple()
     assert not [c.what for c in sensor_changes(base) if "broken" in c.what]
 
 
+@pytest.mark.thorough
 def test_a_wall_that_is_other_than_declared_breaks_no_thermocouple():
     apart = (TIME_S - TIME_S[0]) * (TIME_S[-1] - TIME_S) / np.ptp(TIME_S) ** 2  # as a heat capacity of the skin
     base = base_trial(estimate([with_readings(words=True, LS_bond=READ["LS_bond"] + 100.0 * apart)]))
@@ -157,6 +159,7 @@ def test_a_jump_faster_than_heat_reaches_the_depth_is_told():
     assert described[0].startswith("LS_bond broken: LS_bond jumps by +")
 
 
+@pytest.mark.thorough
 def test_a_gap_of_the_telemetry_and_a_declared_end_of_the_range_are_no_faults_of_a_thermocouple():
     lost = (TIME_S > 500.0) & (TIME_S < 650.0)
     gap = with_readings(words=True, LS_bond=np.where(lost, np.nan, READ["LS_bond"]))
@@ -200,6 +203,7 @@ def test_a_thermocouple_that_is_clipped_before_its_noise_is_recognised():
     assert best.change.describe(best.value).startswith("LS_surface clipped at 1040 K")
 
 
+@pytest.mark.thorough
 def test_a_change_that_cannot_be_marched_or_compared_is_left_out_and_ends_no_search():
     def impossible(record: Record, value: float) -> Record:
         raise RunError("no such wall")
@@ -256,6 +260,7 @@ def test_a_thermocouple_is_recognised_as_clipped_where_its_readings_begin_or_end
     assert best.excess_chi2 < 0.2
 
 
+@pytest.mark.thorough
 def test_a_model_that_is_short_of_the_level_contradicts_a_clipped_thermocouple():
     base = base_trial(estimate([clipped_at("LS_surface", 1040.0)]))
     (change,) = [c for c in sensor_changes(base) if "clipped" in c.what]

@@ -142,6 +142,7 @@ def test_a_derivative_that_the_table_excludes_and_the_flight_has_is_found_as_an_
     assert table_error("ratio.d_elevon", value) == f"the table's elevon derivative is too low by {value:.2g}/deg"
 
 
+@pytest.mark.thorough
 def test_an_estimate_that_returns_to_its_table_gains_the_prior_density() -> None:
     base = base_trial(declared_fit(record_with([], 4, ratio__d_alpha=4e-4)[0]))
     away = table_log_prior(base.fit)

@@ -39,6 +39,7 @@ def test_an_undeclared_transition_by_re_theta_over_edge_mach_number_heats_as_a_d
     np.testing.assert_array_equal(runs[1].indicated_K, runs[0].indicated_K)
 
 
+@pytest.mark.thorough
 def test_an_onset_in_re_theta_over_edge_mach_number_is_searched_for_where_the_point_has_an_edge(
     declared: Record,
 ) -> None:

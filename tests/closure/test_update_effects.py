@@ -174,6 +174,7 @@ def test_a_declared_effect_is_replaced_and_its_comments_stay(workdir: Path) -> N
     assert "a guess" not in text
 
 
+@pytest.mark.thorough
 def test_a_file_edited_after_the_update_is_not_reverted(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["update-tables", "first.json", "--vehicle", "./orbiter"]) == 0
     edit(Path(FILE), lambda text: text + "# mine\n")

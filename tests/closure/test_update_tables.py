@@ -328,6 +328,7 @@ def test_rows_of_nodes_that_did_not_change_keep_their_text(workdir: Path) -> Non
     assert 0 < np.count_nonzero(same) < len(same)
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("line_end", ["\n", "\r\n"])
 def test_reverting_twice_gives_back_the_vehicle_byte_for_byte(workdir: Path, line_end: str) -> None:

@@ -132,6 +132,7 @@ def test_channel_without_any_reading_is_an_error(capsys, tmp_path):
     assert (status, "sensor LS_bond has no sample; set used = false or remove it" in text) == (2, True)
 
 
+@pytest.mark.thorough
 def test_stuck_sensor_is_not_used_and_the_rest_is_estimated(capsys, tmp_path):
     record = damaged(tmp_path, "thermocouples.csv", lambda c: c | {"LS_bond_K": np.full(len(c["time_s"]), 294.0)})
     status, text = run_estimate(capsys, record, "--parameters", "ratio.scale", "--out", tmp_path / "out")

@@ -75,6 +75,7 @@ def test_the_floor_of_a_record_has_the_growing_part() -> None:
 FILTER = pytest.param(ProcessNoise(node_K_sqrt_s=0.05), id="filter", marks=pytest.mark.thorough)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", [pytest.param(None, id="march"), FILTER])
 def test_stated_growing_noise_is_all_that_a_fit_leaves(noise: ProcessNoise | None) -> None:
     record = loud_when_hot(load_record(PRACTICE / "p06"))

@@ -40,6 +40,7 @@ def test_joined_likelihoods_and_information_add_up() -> None:
     assert found.information[0, 2] == 0.0
 
 
+@pytest.mark.thorough
 def test_common_value_is_the_weighted_mean_of_the_separate_ones() -> None:
     common, own = (FitProblem.joined(parts(), [owners] * 2) for owners in ({SLOPE: ""}, {}))
     together, apart = (fit_problem(p, np.zeros(len(p.unknowns))) for p in (common, own))

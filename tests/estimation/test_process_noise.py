@@ -52,6 +52,7 @@ def test_without_noise_of_the_process_it_is_output_error(everything: FitProblem)
     np.testing.assert_allclose(filtered.gradient * sigma, plain.gradient * sigma, rtol=2e-3, atol=1e-3)
 
 
+@pytest.mark.thorough
 def test_side_by_side_log_likelihoods_are_those_one_by_one(
     everything: FitProblem,
 ) -> None:

@@ -52,6 +52,7 @@ def test_evaluation_side_by_side_is_that_of_each_alone_to_the_last_bit(problems)
         assert np.array_equal(found.information, alone.information)
 
 
+@pytest.mark.thorough
 def test_problem_whose_march_fails_leaves_the_others_unchanged(problems):
     vectors = firsts(problems)
     well = JointMarch(problems).evaluate(vectors)

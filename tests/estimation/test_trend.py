@@ -93,6 +93,7 @@ def test_segments_longer_than_their_data_or_of_no_length_are_refused():
         trend(replace(record, thermocouples=lost), 20.0)
 
 
+@pytest.mark.thorough
 def test_uninformative_segment_does_not_flatten_the_others_on_the_page():
     """Where h_ref is near 0, at the end of an entry: 60 +- 250 beside ratios of 0.1."""
     found = trend(remade({}), 50.0)

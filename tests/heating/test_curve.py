@@ -66,6 +66,7 @@ def test_a_curve_follows_the_variable_of_its_number(variable):
     assert found == pytest.approx(1.0 + float(expected(np.array(38.0))), rel=1e-13)
 
 
+@pytest.mark.thorough
 def test_the_band_is_the_spread_of_curves_drawn_with_the_covariance():
     alpha = np.linspace(28.0, 47.0, 20)
     band = curve_band(curve().values, COVARIANCE, alpha)

@@ -202,6 +202,7 @@ def test_page_of_effects_has_the_parameters_of_the_code_and_keeps_its_equations(
     assert text.count(r"\tag{") == 32
 
 
+@pytest.mark.thorough
 def test_neutral_effect_does_nothing_for_any_value_of_its_other_parameters():
     """Where its magnitudes are neutral, temperatures do not depend on any other of its parameters."""
     record, _ = practice_record("p06")

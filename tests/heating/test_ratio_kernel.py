@@ -105,6 +105,7 @@ def test_declared_table_of_a_record_equals_scipy_along_its_flight():
     np.testing.assert_allclose(ours, RegularGridInterpolator(table.axes, table.ratio)(x), rtol=1e-12)
 
 
+@pytest.mark.thorough
 @compiling
 @given(tables(), st.lists(points, min_size=1, max_size=6))
 def test_lookup_of_lanes_equals_that_of_one_point_also_outside_the_table(table, places):
@@ -165,6 +166,7 @@ def model_ratio(x: np.ndarray, about: np.ndarray, table: RatioTable | None = Non
 five = hnp.arrays(np.float64, 5, elements=st.floats(-10.0, 10.0))
 
 
+@pytest.mark.thorough
 @compiling
 @given(five, five, values)
 def test_without_a_table_d0_is_the_ratio_at_the_reference(x, about, d0):
@@ -172,6 +174,7 @@ def test_without_a_table_d0_is_the_ratio_at_the_reference(x, about, d0):
     assert model_ratio(x, about, **{f"at_{D0}": d0}) == d0
 
 
+@pytest.mark.thorough
 @compiling
 @given(tables(), points, values)
 def test_scale_multiplies_the_table_alone(table, fractions, scale):
@@ -194,6 +197,7 @@ def test_second_order_term_has_no_factor_one_half(x, about, k, d):
     assert model_ratio(x, about, **{f"at_{SECOND + k}": d}) == pytest.approx(expected, rel=1e-12, abs=1e-300)
 
 
+@pytest.mark.thorough
 @compiling
 @given(tables(), points, five, hnp.arrays(np.float64, REFERENCE, elements=values))
 def test_all_terms_together_equal_the_formula_of_the_linear_model(table, fractions, about, p):

@@ -77,6 +77,7 @@ def test_no_mean_is_over_the_edge_of_a_segment():
     assert np.nanmax(found.thermocouples[COLUMN][~held]) < 720.0
 
 
+@pytest.mark.thorough
 def test_conditions_keep_their_jumps():
     switched = np.where(TIMES[40_321] < TIMES, 1.0, 0.0)
     columns = {n: np.interp(TIMES, TILE.conditions.time_s, v) for n, v in TILE.conditions.columns.items()}

@@ -274,6 +274,7 @@ def test_the_keys_of_a_sensor_are_those_of_the_contract() -> None:
     assert sensor.lsb_K == 1.0
 
 
+@pytest.mark.thorough
 def test_records_of_one_point_are_told_apart_by_their_flights(tmp_path: Path) -> None:
     record, places = load_record(PRACTICE / "p06"), [tmp_path / folder / "p06" for folder in "ABC"]
     for place, stated in zip(places, ({}, {}, {"flight": "STS-2"}), strict=True):

@@ -159,6 +159,7 @@ def test_sigma_is_that_of_sampled_parameters(source, futures, now) -> None:
     assert np.std(ends, axis=0) == pytest.approx([own.surface_sigma_K[-1], own.bondline_sigma_K[-1]], rel=0.12)
 
 
+@pytest.mark.thorough
 def test_wandering_ratio_is_carried_on_with_its_long_run_uncertainty(source, futures) -> None:
     options = LiveOptions(start="declared", linearise_s=np.inf, ratio_noise=(0.02, 30.0))
     estimator = LiveEstimator(source, NAMES, PRIORS, options)

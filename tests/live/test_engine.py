@@ -163,6 +163,7 @@ def sensor_apart(messages: list[Message], field: str, by_s: float, since_s: floa
     return found
 
 
+@pytest.mark.thorough
 def test_thermocouple_whose_clock_goes_back_is_removed_with_a_reason(moving: Path):
     engine = LinkEngine(replaying(moving))
     sensor = next(s for s in engine.link.points[0].sensors if s.used)
@@ -192,6 +193,7 @@ def test_thermocouple_clock_that_goes_back_in_steady_flight_is_told(short: Path,
     assert use in told
 
 
+@pytest.mark.thorough
 def test_newest_conditions_are_those_of_a_clock_that_went_back(short: Path):
     engine = LinkEngine(replaying(short))
     for message in messages_of(engine.link):
@@ -203,6 +205,7 @@ def test_newest_conditions_are_those_of_a_clock_that_went_back(short: Path):
             assert engine.state().conditions["velocity_m_s"] == body["velocity_m_s"]
 
 
+@pytest.mark.thorough
 def test_one_reading_far_off_is_left_out_and_told(moving: Path):
     engine = LinkEngine(replaying(moving))
     sensor = next(s for s in engine.link.points[0].sensors if s.used)

@@ -104,6 +104,7 @@ def shuffled(seed: int, by_s: float) -> list[Sample]:
     return [samples()[k] for k in np.argsort(arrive, kind="stable")]
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_samples_out_of_order_within_the_window_give_the_same_bits(in_order, seed):
@@ -123,6 +124,7 @@ def test_flight_filtered_again_has_the_same_bits_in_any_order(at_once):
     assert not np.array_equal(final(straight)[2], final(feed(estimator(again_s=math.inf), samples()))[2])
 
 
+@pytest.mark.thorough
 def test_filtered_again_about_its_estimate_the_flight_gives_that_estimate():
     e = feed(estimator(again_s=math.inf), samples())
     e.filter_again()
@@ -348,6 +350,7 @@ def test_clock_that_goes_back_is_told_with_its_third_sample():
     assert 880.0 < told_s[then] < 880.0 + 2.5
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("late_s", [0.0, 1.5])
 def test_a_sensor_whose_own_clock_goes_back_is_left_out_from_there(late_s):
@@ -420,6 +423,7 @@ def test_one_reading_far_off_is_left_out_as_if_it_had_been_lost(by_K):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(("first_K", "second_K"), [(40.0, 40.0), (-40.0, -60.0), (40.0, -40.0)])
 def test_two_distant_readings_in_a_row_count_as_lost(first_K, second_K):
@@ -446,6 +450,7 @@ def test_two_spikes_in_a_row_leave_the_same_bits_in_any_order(seed):
     assert_same_bits(late, feed(estimator(), given))
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_with_a_spike_in_it_the_estimate_has_the_same_bits_in_any_order(seed):

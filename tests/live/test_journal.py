@@ -153,6 +153,7 @@ def test_a_body_of_an_earlier_version_that_was_longer_is_read(tmp_path):
     assert [len(body) for body in bodies(tmp_path)] == [6, LONGEST_BODY + 1000]
 
 
+@pytest.mark.thorough
 def test_damaged_journals_of_all_kinds_lose_what_was_damaged_alone():
     """A sample of `python -m benchmarks journals`."""
     found = damaged_journals(60, seed=1)

@@ -170,6 +170,7 @@ def test_a_port_in_use_is_one_line(tmp_path, capsys):
     assert f"page: port {port} of 127.0.0.1 is in use" in told
 
 
+@pytest.mark.thorough
 def test_a_headless_link_serves_its_metrics_where_that_is_asked_for(tmp_path, capsys):
     port = str(free_port(socket.SOCK_STREAM))
     for name, options, text in (("a", ["--metrics"], LINK), ("b", [], LINK + "\n[output]\nmetrics = true\n")):

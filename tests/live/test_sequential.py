@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from sim_heating.base.kernels.truncated_normal import truncated_normal
 from sim_heating.estimation.filter.kernel import innovation
+from sim_heating.estimation.inference.truncated_normal import truncated_normal
 from sim_heating.live.watch.sequential import SequentialTest, score_of_word
 
 

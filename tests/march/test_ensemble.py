@@ -281,6 +281,7 @@ def march_any(construction: Construction, history: np.ndarray, step_s: float, no
     return ensemble
 
 
+@pytest.mark.thorough
 @compiling
 @given(st.data(), tile_walls(100.0, 2500.0), steps, st.integers(14, 60))
 def test_any_physical_input_gives_temperatures_or_a_reported_failure(data, construction, step_s, nodes):

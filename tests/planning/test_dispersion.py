@@ -244,6 +244,7 @@ def test_modes_give_the_covariance_that_sigma_and_reach_state(tmp_path):
     np.testing.assert_allclose(np.asarray(W @ (modes @ modes.T) @ W.T), wanted, atol=0.01 * wanted.max())
 
 
+@pytest.mark.thorough
 def test_dispersed_tables_keep_mean_and_sigma_where_it_is_flown(tmp_path):
     entry = entry_of(tmp_path, tables=1.0)
     table, modes = entry.points[1].point.ratio, entry.modes[1]
@@ -302,6 +303,7 @@ parameters = { log10_re_onset = 6.0, factor = 2.0 }
 ONSET = '[[dispersion.input]]\nname = "effect.transition.log10_re_onset"\nsigma = 0.1\ncontrol_points = ["V09T9527"]\n'
 
 
+@pytest.mark.thorough
 def test_a_dispersed_onset_of_transition_is_that_of_the_effect(tmp_path):
     entry = entry_of(tmp_path, ONSET, limits=TRANSITION)
     z = np.linspace(-2.0, 2.0, TOGETHER)[:, np.newaxis]
@@ -327,6 +329,7 @@ def test_a_flight_is_the_same_whatever_flew_before_it(tmp_path):
     assert entry(batch) == fresh(batch)
 
 
+@pytest.mark.thorough
 def test_flights_that_skip_out_count_as_above_every_limit(tmp_path):
     entry = entry_of(tmp_path, '[[dispersion.input]]\nname = "entry.velocity_m_s"\nlow = 0.0\nhigh = 300.0\n')
     result = dispersion_of(entry)

@@ -113,6 +113,7 @@ def test_the_elevon_and_the_body_flap_share_the_heat() -> None:
     assert peak(down, "V07T9730 surface") < peak(up, "V07T9730 surface") - 10.0
 
 
+@pytest.mark.thorough
 def test_a_trim_beyond_the_elevons_travel_is_reported_with_the_distance() -> None:
     case = Case(cg_fraction=0.65, bodyflap_deg=22.5)
     c = flown(case)
@@ -157,6 +158,7 @@ def test_cross_range_is_the_distance_from_the_first_great_circle() -> None:
     assert cross_range_km((0.0, 0.0), 0.0, (0.0, 10.0)) == pytest.approx(-R * np.radians(10.0))
 
 
+@pytest.mark.thorough
 def test_a_required_cross_range_is_flown_and_one_out_of_reach_is_refused() -> None:
     most = abs(flown(Case(one_sided=True)).cross_range_km)
     assert abs(flown(Case(cross_range_km=0.6 * most)).cross_range_km) == pytest.approx(0.6 * most, abs=3.0)

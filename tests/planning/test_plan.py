@@ -256,6 +256,7 @@ def test_foreign_page_is_reported_before_the_work_and_kept(study, tmp_path, caps
     assert (out / "report.html").read_text() == "mine"
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
 def test_worker_processes_that_do_not_start_are_reported_in_a_line(study, tmp_path, capsys, monkeypatch):
     """There is no folder to start them in."""

@@ -100,6 +100,7 @@ def test_a_manoeuvre_can_be_replaced_through_its_parameters(entry: dict[int, Pat
     assert_same_bits(fly(entry[3], {"time_s": 440.0}, fmu={"start": start}), expected)
 
 
+@pytest.mark.thorough
 def test_initial_state_and_mass_are_parameters(entry: dict[int, Path]) -> None:
     changed = {"gamma_deg": -1.5, "velocity_m_s": 7300.0, "bank_deg": 20.0}
     table = SPEC.model_dump() | {"stop": {"time_s": 300.0}, "vehicle": {"mass_kg": 90000.0}}

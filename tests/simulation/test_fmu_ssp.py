@@ -223,6 +223,7 @@ def with_parameter(system: Path, name: str, value: str, folder: Path) -> Path:
     return edited
 
 
+@pytest.mark.thorough
 @needs_ecos
 def test_inputs_that_a_user_sets_to_reached_have_the_bits_of_the_plug_in_one_step_late(
     system: Path, frames: np.ndarray, tmp_path: Path

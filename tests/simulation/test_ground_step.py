@@ -77,6 +77,7 @@ def test_a_gain_error_is_distinguished_from_a_thick_coating() -> None:
         assert abs(found[name][0] - true) < 3.0 * found[name][1] + 0.002
 
 
+@pytest.mark.thorough
 def test_thickness_and_heat_capacity_of_a_coating_are_not_separable_with_a_lamp() -> None:
     found = estimate([lit_plug(50e3)], [COATING, "stack.coating.heat_capacity_factor"])
     assert found.correlation[0, 1] < -0.9  # a thin coating is heat capacity and hardly a resistance

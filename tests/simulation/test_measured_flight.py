@@ -135,6 +135,7 @@ def test_a_recorded_trajectory_takes_dynamic_pressure_for_the_density(tmp_path: 
 # Thermocouples ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_lag_that_is_not_declared_is_in_the_readings_and_not_in_the_record(tmp_path: Path) -> None:
     lag = '[[measurements.fault]]\nsensor = "V09T9527"\ntau_s = 2.0\n'
     prompt, late = (record_of(tmp_path, more) for more in ("", lag))

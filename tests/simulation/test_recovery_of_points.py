@@ -113,6 +113,7 @@ def refusal(host: Host, table: Path) -> str:
     return ""
 
 
+@pytest.mark.thorough
 def test_the_conditions_of_a_point_have_the_enthalpy_of_its_edge(vehicle, flown):
     for name in EDGES:
         along = conditions_at_point(vehicle, vehicle.control_point(name), flown)

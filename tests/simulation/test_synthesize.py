@@ -76,6 +76,7 @@ def test_a_written_record_predicts_the_temperatures_that_it_was_made_of(tmp_path
         assert np.max(np.abs(prediction.residual_K)) < STEP_ERROR_K
 
 
+@pytest.mark.thorough
 def test_an_altered_truth_is_in_the_readings_and_in_truth_toml_but_not_in_the_record(
     tmp_path: Path, plain: dict[str, Record]
 ) -> None:

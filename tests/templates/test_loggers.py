@@ -640,6 +640,7 @@ def test_what_was_read_before_stays_readable() -> None:
     assert span_s(found) == 4.0
 
 
+@pytest.mark.thorough
 def test_a_file_of_18611_rows_is_read_in_a_moment() -> None:
     """Each reading is converted once, however often it is asked for."""
     t = 0.05 * np.arange(18611)
@@ -654,3 +655,76 @@ def test_one_truth_in_random_layouts_is_never_read_wrongly(tmp_path: Path) -> No
     found, reasons = outcomes(60, 2024, tmp_path)
     assert found["wrong"] == 0, reasons
     assert share_read(found) >= GOAL_READ, reasons
+
+
+CHANNEL_K = 293.15 + 0.6 * np.arange(12.0) ** 2
+"""A wall that is heated, every 2 s."""
+
+
+def rows_of(form: Callable[[int, float], str]) -> str:
+    """Rows of a file from the number of the sample and the temperature [degC]."""
+    return "".join(f"{form(i, T_K - 273.15)}\n" for i, T_K in enumerate(CHANNEL_K))
+
+
+@pytest.mark.parametrize(
+    ("head", "form"),
+    [
+        ("Temps (s);Température (°C)\n", lambda i, T: f"{2 * i};{T:.2f}".replace(".", ",")),
+        ("% rig 3\n% time[s] TC1[degC]\n", lambda i, T: f"{2 * i} {T:.2f}"),
+        ('"Timestamp","TZ","1TC (degC)"\n', lambda i, T: f"2024/05/13 10:45:{2 * i:02d}.000,n,{T:.2f}"),
+        ("Start: 5/13/2024\nScan #,Timestamp,101 (TC) °C\n", lambda i, T: f"{i + 1},{2 * i:.3f},{T:.2f}"),
+        ("elapsed,TC1 (C)\n", lambda i, T: f"0 days 00:00:{2 * i:02d}.000000,{T:.2f}"),
+        ("TC run,Time,Celsius(°C)\n", lambda i, T: f"{i + 1},13/05/2024 10:45:{2 * i:02d},{T:.2f}"),
+        ("", lambda i, T: f'{{"time_s": {2 * i}, "TC1_C": {T:.2f}}}'),
+        (
+            '"Model","GX10"\n\n"Ch.","","","CH1"\n"Tag","","","wall"\n"Unit","","","°C"\n"Date","Time","ms",""\n',
+            lambda i, T: f"2024/05/13,10:45:{2 * i:02d},000,{T:.2f}",
+        ),
+    ],
+    ids=["French", "comment of MATLAB", "dataTaker", "ExceLINX", "pandas spans", "Lascar", "JSON lines", "Yokogawa"],
+)
+@pytest.mark.filterwarnings("ignore:.*no unit is stated")
+def test_more_recorders_are_read_as_they_are_written(head: str, form: Callable[[int, float], str]) -> None:
+    Path("t.txt").write_text(head + rows_of(form), encoding="utf-8")
+    measured = read_measured_csv(Path("t.txt"))
+    (column,) = measured.of_kind(TEMPERATURE)
+    np.testing.assert_allclose(column.si, CHANNEL_K, atol=0.006)
+    np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
+
+
+@pytest.mark.parametrize("first", [739385.5, 2460443.5], ids=["of MATLAB", "Julian"])
+def test_days_of_a_calendar_are_counted_from_the_first(first: float) -> None:
+    Path("t.csv").write_text("day,TC1 (C)\n" + rows_of(lambda i, T: f"{first + 2 * i / 86400:.9f},{T:.2f}"))
+    measured = read_measured_csv(Path("t.csv"), time="day", time_unit="day")
+    np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0), atol=1e-3)
+    assert measured.zero_s is None
+
+
+def test_a_row_of_json_lines_that_is_no_object_is_named() -> None:
+    Path("t.jsonl").write_text('{"time_s": 0, "TC1_K": 293}\n[1, 2]\n')
+    with pytest.raises(InputError, match=r"^t.jsonl, row 2: no JSON object"):
+        read_measured_csv(Path("t.jsonl"))
+
+
+def test_rows_from_the_newest_to_the_first_are_read_from_the_last() -> None:
+    rows = rows_of(lambda i, T: f"2024-05-13 10:45:{2 * i:02d},{T:.2f}").splitlines()
+    Path("t.csv").write_text("Date,TC1 (C)\n" + "\n".join(reversed(rows)))
+    measured = read_measured_csv(Path("t.csv"))
+    np.testing.assert_allclose(measured.of_kind(TEMPERATURE)[0].si, CHANNEL_K, atol=0.006)
+    np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
+    assert measured.zero_s == datetime(2024, 5, 13, 10, 45, tzinfo=UTC).timestamp()
+    assert measured.line(0).endswith("row 13")
+    assert "the rows run back in time: read from the last" in measured.notes
+
+
+def test_a_difference_of_temperatures_is_no_temperature() -> None:
+    rows = rows_of(lambda i, T: f"{2 * i},{T:.2f},{T - 20.0:.2f},{T - 20.0:.2f}")
+    Path("t.csv").write_text("Time (s),TC1 (C),TC1 rise (C),Delta T (K)\n" + rows)
+    assert [c.name for c in read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)] == ["TC1"]
+
+
+@pytest.mark.parametrize("name", ["TC1 (C) x10", "TC1 C*10", "TC1 [degC] \u00d7 10"])
+def test_a_factor_beside_a_unit_is_not_left_out(name: str) -> None:
+    Path("t.csv").write_text(f"Time (s),{name}\n" + rows_of(lambda i, T: f"{2 * i},{10 * T:.0f}"))
+    with pytest.raises(InputError, match=r"column TC1.*[x*\u00d7] ?10"):
+        read_measured_csv(Path("t.csv"))

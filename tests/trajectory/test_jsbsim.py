@@ -503,6 +503,7 @@ UNRESOLVED = (
 )
 
 
+@pytest.mark.thorough
 def test_a_function_of_a_missing_property_does_not_end_the_program(tmp_path: Path) -> None:
     """JSBSim evaluates its functions once more in its destructors, and ends the program where that fails."""
     vehicle = damaged_control(tmp_path, "</system>", UNRESOLVED)

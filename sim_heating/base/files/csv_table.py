@@ -170,20 +170,30 @@ def _large_table(
     is_named = all(names) and not _name_problems("", names, required, optional, lost)
     if '"' in content or not is_named or not _has_plain_numbers(body, rows * (len(names) - 1)):
         return None
-    if "," in body and lost:
-        body = re.sub(r",(?=[ ]*(?:,|\n|$))", ",nan", re.sub(r"(?m)^(?=[ ]*,)", "nan", body))
     kept = [n for n in names if keep_other or n in {*required, *optional}]
-    try:
-        values = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, usecols=[names.index(n) for n in kept])
-    except ValueError:
+    values = _all_values(body, [names.index(n) for n in kept], bool(lost))
+    if values is None or len(values) != rows:
         return None
     columns = {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(kept)}
-    is_complete = all(np.all(np.isfinite(v)) or (n in lost and not np.any(np.isinf(v))) for n, v in columns.items())
-    if len(values) != rows or not is_complete:
+    if not all(np.all(np.isfinite(v) | (np.isnan(v) if n in lost else False)) for n, v in columns.items()):
         return None
     first = above.count("\n") + 2
-    header = dict(header_entry(line) for line in above.splitlines() if ":" in line)
-    return CsvTable(columns, header, path, np.arange(first, first + rows, dtype=np.int64))
+    return CsvTable(columns, _header(above.splitlines()), path, np.arange(first, first + rows, dtype=np.int64))
+
+
+def _all_values(body: str, used: Sequence[int], may_be_empty: bool) -> FloatArray | None:
+    """(row, column) numbers of the columns used; NaN for an empty cell. None where a cell is no number."""
+    if "," in body and may_be_empty:
+        body = re.sub(r",(?=[ ]*(?:,|\n|$))", ",nan", re.sub(r"(?m)^(?=[ ]*,)", "nan", body))
+    try:
+        return np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, usecols=used)
+    except ValueError:
+        return None
+
+
+def _header(lines: Iterable[str]) -> dict[str, str]:
+    """Entries `# key: value` above the names of a file."""
+    return dict(header_entry(line) for line in lines if ":" in line)
 
 
 def _has_plain_numbers(body: str, commas: int) -> bool:
@@ -210,7 +220,6 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int]
     first = next((i for i, line in enumerate(content) if line.strip() and not line.startswith("#")), None)
     if first is None:
         raise InputError(f"{display_path(path)}: the row of column names is missing; the file holds comments only")
-    header = dict(header_entry(line) for line in content[:first] if ":" in line)
     reader = csv.reader(content[first:])
     try:
         rows = [(row, first + reader.line_num) for row in reader]
@@ -223,7 +232,7 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int]
         )
     blank = [f"{display_path(path)}, row {line}: the row is blank; remove it" for row, line in rows if not row]
     raise_problems(_first_and_count(blank))
-    return names, [row for row, _ in rows[1:]], [line for _, line in rows[1:]], header
+    return names, [row for row, _ in rows[1:]], [line for _, line in rows[1:]], _header(content[:first])
 
 
 def header_entry(line: str) -> tuple[str, str]:
@@ -257,16 +266,13 @@ def _name_problems(
     """Problems of the row of names: missing, repeated, empty, misspelt; readings : columns that the user named."""
     other = [n for n in names if n not in {*required, *optional}]
     missing = [n for n in required if n not in names]
-    if missing and len(names) == 1 and (sign := next((s for s in (";", "\t") if s in names[0]), None)):
+    if missing and len(names) == 1 and (sign := next((s for s in ";\t" if s in names[0]), None)):
         return [f"{file}, row of names: cells are separated by {sign!r}; separate them by commas"]
     problems = [f"{file}: there is no column `{n}`{_nearest_column(n, other, n in readings)}" for n in missing]
     problems += [f"{file}: column `{n}` is repeated; remove one" for n in dict.fromkeys(names) if names.count(n) > 1]
     problems += [f"{file}: column {i + 1} has no name; name or remove it" for i, n in enumerate(names) if not n]
-    for name in optional:
-        close = nearest_name(name, other, cutoff=0.85)
-        if name not in names and close:
-            problems.append(f"{file}: unknown column `{close}`; did you mean `{name}`?")
-    return problems
+    absent = {n: nearest_name(n, other, cutoff=0.85) for n in optional if n not in names}
+    return problems + [f"{file}: unknown column `{c}`; did you mean `{n}`?" for n, c in absent.items() if c]
 
 
 def _nearest_column(name: str, other: list[str], of_readings: bool) -> str:
@@ -333,8 +339,8 @@ def csv_text(
     texts = [_cell_texts(name, v, formats) for name, v in arrays.items()]
     if len({len(c) for c in texts}) > 1:
         raise RunError(f"columns {', '.join(columns)} differ in length")
-    head = [f"# {key}: {' '.join(str(value).split())}" for key, value in (header or {}).items()]
     stream = io.StringIO()
+    stream.writelines(f"# {key}: {' '.join(str(value).split())}\n" for key, value in (header or {}).items())
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
     rows = zip(*texts, strict=True)
@@ -343,7 +349,7 @@ def csv_text(
         stream.writelines(f"{','.join(row)}\n" for row in rows)
     else:
         writer.writerows(rows)
-    return "".join(f"{line}\n" for line in head) + stream.getvalue()
+    return stream.getvalue()
 
 
 def _cell_texts(name: str, values: NDArray[Any], formats: Mapping[str, str] | str | None) -> list[str]:

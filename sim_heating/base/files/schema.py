@@ -74,17 +74,20 @@ def documented(js: dict[str, Any], model: type[BaseModel], quantities: Mapping[s
     for name, value in js.get("properties", {}).items():
         value.pop("title", None)
         declared = quantities.get(name, name)
-        of_field = isinstance(declared, str) and (declared == name or declared not in model.model_fields)
-        of_name = quantity(declared) if of_field else None
+        is_name = isinstance(declared, str) and (declared == name or declared not in model.model_fields)
+        of_name = quantity(declared) if is_name else None
         if of_name is not None:
             _set_range(value, of_name)
-        text = model.model_fields[name].description if name in model.model_fields else None
-        text = text or written.get(name)
-        if text is None and not _is_table(value):
-            text = DESCRIPTIONS.get(name) or (noun(of_name) if of_name is not None else COMMON.get(name))
+        stated = model.model_fields[name].description if name in model.model_fields else None
+        text = stated or written.get(name) or (None if _is_table(value) else _usual_text(name, of_name))
         if text is not None:
             value["description"] = text
     return js
+
+
+def _usual_text(name: str, measured: Quantity | None) -> str | None:
+    """Description of a key by its name, or by its quantity."""
+    return DESCRIPTIONS.get(name) or (COMMON.get(name) if measured is None else noun(measured))
 
 
 def _is_table(js: Mapping[str, Any]) -> bool:
@@ -119,10 +122,12 @@ def _docstring_entries(model: type[BaseModel]) -> dict[str, str]:
 def _set_range(js: dict[str, Any], measured: Quantity) -> None:
     """Set the range of a quantity at every number of a schema, where the model sets none."""
     if js.get("type") in ("number", "integer"):
-        if "minimum" not in js and "exclusiveMinimum" not in js and abs(measured.lowest) != float("inf"):
-            js["minimum"] = measured.lowest
-        if "maximum" not in js and "exclusiveMaximum" not in js and abs(measured.highest) != float("inf"):
-            js["maximum"] = measured.highest
+        for key, exclusive, end in (
+            ("minimum", "exclusiveMinimum", measured.lowest),
+            ("maximum", "exclusiveMaximum", measured.highest),
+        ):
+            if key not in js and exclusive not in js and abs(end) != float("inf"):
+                js[key] = end
     for below in ("items", "additionalProperties"):
         if isinstance(js.get(below), dict):
             _set_range(js[below], measured)

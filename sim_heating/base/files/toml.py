@@ -12,7 +12,7 @@ import re
 import tomllib
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Self, TypeVar
 
 import tomlkit
@@ -114,43 +114,42 @@ class LocatedError(ValueError):
 
 def _quantity_problems(model: Declared, name: str, value: Any) -> list[tuple[Location, str]]:
     """Problems of the numbers of one field: the place below the field, and the rule of the quantity."""
-    if value is None or isinstance(value, (str, bool)):
-        return []
     declared = model.quantities.get(name, name)
     if declared is None:
         return []
-    if isinstance(value, Mapping):
-        return [((key, *below), text) for key, v in value.items() for below, text in _range_problems(quantity(key), v)]
-    if isinstance(declared, str):
-        return _range_problems(quantity(_meant(model, declared)), value)
-    columns = [None if column is None else quantity(_meant(model, column)) for column in declared]
-    problems: list[tuple[Location, str]] = [
-        ((i, j), text)
-        for i, row in enumerate(value if isinstance(value, (list, tuple)) else ())
-        for j, (measured, number) in enumerate(zip(columns, row, strict=False))
-        for _, text in _range_problems(measured, number)
-    ]
-    return problems or _axis_problems(columns[0], value)
+    problems = _judged_numbers(model, name, value, lambda key, v: _range_problems(quantity(key), v))
+    if problems or not isinstance(declared, tuple) or not isinstance(value, (list, tuple)) or declared[0] is None:
+        return problems
+    return _axis_problems(quantity(_meant(model, declared[0])), value)
 
 
 def _quantity_remarks(model: Declared, name: str, value: Any) -> list[tuple[Location, str]]:
     """The unusual numbers of one field, as `_quantity_problems` has the impossible ones."""
+    return _judged_numbers(model, name, value, _unusual_numbers)
+
+
+def _judged_numbers(
+    model: Declared, name: str, value: Any, judge: Callable[[str, Any], list[tuple[Location, str]]]
+) -> list[tuple[Location, str]]:
+    """What is told of the numbers of one field, each with its place below the field.
+
+    judge : what is told of numbers of a quantity, by its name
+    """
     if value is None or isinstance(value, (str, bool)):
         return []
     declared = model.quantities.get(name, name)
     if isinstance(value, Mapping):
-        numbers = ((key, _unusual_numbers(key, v)) for key, v in value.items())
-        return [((key, *below), text) for key, remarks in numbers for below, text in remarks]
+        return [((key, *below), text) for key, v in value.items() for below, text in judge(key, v)]
     if declared is None:
         return []
     if isinstance(declared, str):
-        return _unusual_numbers(_meant(model, declared), value)
+        return judge(_meant(model, declared), value)
     return [
         ((i, j), text)
         for i, row in enumerate(value if isinstance(value, (list, tuple)) else ())
         for j, (column, number) in enumerate(zip(declared, row, strict=False))
         if column is not None
-        for _, text in _unusual_numbers(_meant(model, column), number)
+        for _, text in judge(_meant(model, column), number)
     ]
 
 
@@ -231,10 +230,14 @@ def _not_numbers(value: Any, allowed: set[Any]) -> list[tuple[Location, Any]]:
         return [((i, *below), wrong) for i, item in enumerate(value) for below, wrong in _not_numbers(item, allowed)]
     if isinstance(value, bool):
         return [] if bool in allowed else [((), value)]
+    return [((), value)] if isinstance(value, str) and _is_finite_number(value) else []
+
+
+def _is_finite_number(text: str) -> bool:
     try:
-        return [((), value)] if isinstance(value, str) and math.isfinite(float(value)) else []
+        return math.isfinite(float(text))
     except ValueError:
-        return []
+        return False
 
 
 def read_toml(path: str | os.PathLike[str], model: type[M]) -> M:
@@ -275,20 +278,24 @@ def check(data: Any, model: type[M], where: str, *, tells: bool = True) -> M:
     try:
         checked = model.model_validate(data, context=_FROM_FILE)
     except ValidationError as error:
-        # An unknown key is often the reason why another is missing, so it comes first. In a file of another format
-        # every key is wrong, so the format alone is reported.
-        raised = error.errors(include_url=False)
-        other_format = [e for e in raised if e["loc"] == ("format",) and e["type"] != "missing"]
-        errors = other_format or _one_error_per_union(
-            sorted(raised, key=lambda e: e["type"] != "extra_forbidden"), data
-        )
-        problems = [p for e in errors for p in _error_lines(e, data, model, where)]
+        problems = [p for e in _errors_to_report(error, data) for p in _error_lines(e, data, model, where)]
         raise InputError(*problems) from None
     except RecursionError:
         raise InputError(f"{where}: tables or lists are nested too deeply") from None
     if tells and isinstance(checked, Declared):
         tell(remarks_of(checked, data, where))
     return checked
+
+
+def _errors_to_report(error: ValidationError, data: Any) -> Sequence[Any]:
+    """Errors of pydantic in the order of a report.
+
+    An unknown key is often the reason why another is missing, so it comes first. In a file of another format every key
+    is wrong, so the format alone is reported.
+    """
+    raised = error.errors(include_url=False)
+    other_format = [e for e in raised if e["loc"] == ("format",) and e["type"] != "missing"]
+    return other_format or _one_error_per_union(sorted(raised, key=lambda e: e["type"] != "extra_forbidden"), data)
 
 
 def _one_error_per_union(errors: Sequence[Any], data: Any) -> list[Any]:
@@ -442,13 +449,6 @@ def _error_rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
     description = _description(model, loc)
     if kind == "missing":
         return f"key `{key}` is missing{_in_parentheses(description)}"
-    if "kinds" in error or kind in _TYPE_NAMES:
-        *others, last = dict.fromkeys(error.get("kinds") or [_TYPE_NAMES[kind]])
-        kinds = f"{', '.join(others)} or {last}" if others else last
-        return f"{abbreviated(value)} is not {kinds}{_in_parentheses(description)}"
-    if kind in _BOUNDS:
-        name, comparison = _BOUNDS[kind]
-        return f"{abbreviated(value)} {comparison} {ctx[name]:g}{_in_parentheses(description)}"
     if kind in ("union_tag_invalid", "union_tag_not_found") and "discriminator" in ctx:
         return _tag_rule(ctx, value)
     if kind == "string_pattern_mismatch":
@@ -456,12 +456,24 @@ def _error_rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
         return f"{abbreviated(value)} is not {description or ctx['pattern']}{other}"
     if kind == "literal_error":
         return _choice_rule(value, re.findall(r"'([^']*)'", ctx["expected"]))
+    if kind == "value_error":
+        return str(ctx["error"])
+    return f"{_value_rule(error)}{_in_parentheses(description)}"
+
+
+def _value_rule(error: Any) -> str:
+    """The rule of a value of another type, beyond a bound, or of another length."""
+    kind, value, ctx = error["type"], error["input"], error.get("ctx", {})
+    if "kinds" in error or kind in _TYPE_NAMES:
+        *others, last = dict.fromkeys(error.get("kinds") or [_TYPE_NAMES[kind]])
+        return f"{abbreviated(value)} is not {', '.join(others)}{' or ' if others else ''}{last}"
+    if kind in _BOUNDS:
+        name, comparison = _BOUNDS[kind]
+        return f"{abbreviated(value)} {comparison} {ctx[name]:g}"
     if kind in ("too_short", "too_long"):
         limit = ctx.get("min_length", ctx.get("max_length"))
-        comparison = "at least" if kind == "too_short" else "at most"
-        return f"has {ctx['actual_length']} values, takes {comparison} {limit}{_in_parentheses(description)}"
-    text = str(ctx["error"]) if "error" in ctx else error["msg"]
-    return f"{text}{_in_parentheses(description)}" if kind != "value_error" else text
+        return f"has {ctx['actual_length']} values, takes {'at least' if kind == 'too_short' else 'at most'} {limit}"
+    return str(ctx.get("error", error["msg"]))
 
 
 def _unknown_key_rule(key: str, model: type[BaseModel], table: Location, tagged: Location) -> str:
@@ -474,12 +486,11 @@ def _unknown_key_rule(key: str, model: type[BaseModel], table: Location, tagged:
     if stated is None:
         return f"unknown key `{key}`{suggestion(key, known_keys(model, table))}"
     field, keys_of_kind = kinds[stated][0], list(stated.model_fields)
-    others = [name for m, (_, names) in kinds.items() if key in m.model_fields for name in names]
-    if others:
-        keys = ", ".join(f"`{name}`" for name in keys_of_kind if name != field)
-        owners = ", ".join(f'"{name}"' for name in others)
-        return f'`{key}` belongs to {field} = {owners}, not to {field} = "{tagged[-2]}", which takes {keys}'
-    return f"unknown key `{key}`{suggestion(key, keys_of_kind)}"
+    owners = ", ".join(f'"{name}"' for m, (_, names) in kinds.items() if key in m.model_fields for name in names)
+    if not owners:
+        return f"unknown key `{key}`{suggestion(key, keys_of_kind)}"
+    keys = ", ".join(f"`{name}`" for name in keys_of_kind if name != field)
+    return f'`{key}` belongs to {field} = {owners}, not to {field} = "{tagged[-2]}", which takes {keys}'
 
 
 def _kind(model: type[BaseModel]) -> tuple[str, tuple[Any, ...]] | None:
@@ -569,8 +580,7 @@ def _toml_data(value: Any, location: str) -> Any:
     """A value as tomlkit writes it: Python numbers, texts, lists and dictionaries without None."""
     value = as_builtin(value)
     if isinstance(value, Mapping):
-        present = {k: v for k, v in value.items() if v is not None}
-        return {k: _toml_data(v, f"{location}.{k}" if location else k) for k, v in present.items()}
+        return {k: _toml_data(v, f"{location}.{k}".lstrip(".")) for k, v in value.items() if v is not None}
     if isinstance(value, (list, tuple)):
         return [_toml_data(v, location) for v in value]
     if isinstance(value, float) and not math.isfinite(value):

@@ -313,12 +313,9 @@ def _finish(target: Path, new: dict[str, str], old: Mapping[str, str]) -> None:
     """Carry out what the journal says; steps that were done before are passed over."""
     staging = target / STAGING
     for name, digest in old.items():
-        came = name in new and not (staging / NEW / name).exists()
-        if came or (staging / OLD / name).exists() or not os.path.lexists(target / name):
-            continue
-        if not has_digest(target / name, digest):
-            raise _in_the_way(target, name)
-        _move(target / name, staging / OLD / name)
+        has_come = name in new and not (staging / NEW / name).exists()
+        if not (has_come or (staging / OLD / name).exists()):
+            _move_out(target, name, digest)
     for name in reversed(new):  # the list of results, whose name begins with a dot, comes last
         if (staging / NEW / name).exists():
             if os.path.lexists(target / name):
@@ -328,6 +325,14 @@ def _finish(target: Path, new: dict[str, str], old: Mapping[str, str]) -> None:
     for folder in folders:
         make_durable(folder)
     _discard(target, old)
+
+
+def _move_out(target: Path, name: str, digest: str) -> None:
+    """Move a file that is replaced to the old ones, where it is there; it has to have its digest."""
+    if os.path.lexists(target / name):
+        if not has_digest(target / name, digest):
+            raise _in_the_way(target, name)
+        _move(target / name, target / STAGING / OLD / name)
 
 
 def _undo(target: Path, new: Mapping[str, str]) -> None:

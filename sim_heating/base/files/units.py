@@ -37,10 +37,8 @@ WORDS = {
     "sek": "s", "sekunden": "s", "minuten": "min", "stunden": "h",
 }  # fmt: skip
 """Words in small letters -> the name that pint knows, whatever the letters are in the file."""
-LETTERS = {
-    "C": "degC", "c": "degC", "F": "degF", "f": "degF", "R": "degR", "k": "K", "S": "s", "mil": "thou", '"': "inch",
-    "\u2103": "degC", "\u2109": "degF",
-}  # fmt: skip
+SIGNS = {"k": "K", "S": "s", "mil": "thou", '"': "inch", "\u2103": "degC", "\u2109": "degF"}
+LETTERS = {"C": "degC", "c": "degC", "F": "degF", "f": "degF", "R": "degR", **SIGNS}
 """Short names that pint takes for another unit, a charge, a capacity, a gas constant or an angle, or does not know."""
 DEGREES = re.compile(
     r"(?i)(?:deg(?:s|ree|rees)?\.?|grad|\u00c2?\u00b0|[\u00ba\u02da\ufffd]|(?<![\w)*])[*?])[ _]*"
@@ -203,7 +201,7 @@ def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
         if match:
             return match[1].strip(), match[2].strip()
     inside = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])]\s*(\S.*)", head)
-    if inside and any(converted(inside[2], si) is not None for si in quantities):
+    if inside and _converts(inside[2], quantities):
         return f"{inside[1]} {inside[3]}", inside[2]
     for first in _endings(head):
         name, ending = head[:first].rstrip("_ "), head[first:].lstrip("_ ")
@@ -211,10 +209,14 @@ def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
             continue
         top, *under = re.split("_", ending)
         for unit in (ending, f"{top}/{' '.join(under)}" if under else ""):
-            if unit and any(converted(unit, si) is not None for si in quantities):
+            if unit and _converts(unit, quantities):
                 return name, unit
     match = re.fullmatch(SLASHED, head)
     return (match[1], match[2]) if match else (head, "")
+
+
+def _converts(unit: str, quantities: Sequence[str]) -> bool:
+    return any(converted(unit, si) is not None for si in quantities)
 
 
 def _endings(head: str) -> list[int]:

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_heating.base.conditions import DERIVED, RATIO_VARIABLES
+
 LANES = 8
 """Control points side by side: eight float64 numbers are two AVX2 vectors or one of AVX-512."""
 END: Any = np.int64(2)
@@ -28,12 +30,9 @@ P_SURFACE, H_REF, RECOVERY_ENTHALPY, Q_ADD, JETS, MACH, TIME, RECOVERY_RISE = 5,
 TURBULENT_RATIO, LOG10_RE_THETA_M, DISSOCIATION, SURROUNDINGS, BEHIND = 13, 14, 15, 16, 17
 STILL_AIR, AIR_K, UPSTREAM = 18, 19, 20
 N_CONDITIONS = 21
-CONDITION_COLUMNS = (
-    "alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg",
-    "p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg", "q_add_W_m2", "jets", "mach", "time_s",
-    "H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "T_surroundings_K", "T_back_K",
-    "still_air_W_m2K43", "T_inf_K", "H_upstream_J_kg",
-)  # fmt: skip
+_OF_FLIGHT = ("p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg", "q_add_W_m2", "jets", "mach", "time_s")
+_OF_SURROUNDINGS = ("T_surroundings_K", "T_back_K", "still_air_W_m2K43", "T_inf_K", "H_upstream_J_kg")
+CONDITION_COLUMNS = (*RATIO_VARIABLES, *_OF_FLIGHT, *DERIVED[:4], *_OF_SURROUNDINGS)
 
 # Heating parameters of a lane: the linear model about a reference condition (docs/theory/equations.md, section 2: 5
 # first and 15 second derivatives, the reference, the highest order in use), then the parameters of its effects, slot by

@@ -127,9 +127,8 @@ def run_batches(
             if isinstance(result, BaseException):
                 failed[job_id] = error_line(result)
             counter.count_one()
-    return Outcome(
-        {name: out / name for name in names if name not in failed}, {n: failed[n] for n in names if n in failed}
-    )
+    done = {name: out / name for name in names if name not in failed}
+    return Outcome(done, {job.id: failed[job.id] for job in remaining if job.id in failed})
 
 
 @dataclass

@@ -263,7 +263,7 @@ def chart_data(chart: Chart, intervals: int) -> tuple[dict[str, Any], str]:
             "height": p.height,
             "zero": p.zero,
             "curves": [curve(c) for c in p.curves],
-            "limits": None if p.limits is None else [float(v) for v in p.limits],
+            "limits": _floats(p.limits),
         }
         for p in chart.panels
     ]
@@ -271,7 +271,7 @@ def chart_data(chart: Chart, intervals: int) -> tuple[dict[str, Any], str]:
         "title": printable(chart.title),
         "time": printable(chart.time),
         "panels": panels,
-        "view": None if chart.view is None else [float(t) for t in chart.view],
+        "view": _floats(chart.view),
         "spans": [[s.start_s, s.end_s, printable(s.label), to_hex(s.color)] for s in chart.spans],
         "times": [_encoded_times(t) for t in times],
     }
@@ -280,6 +280,10 @@ def chart_data(chart: Chart, intervals: int) -> tuple[dict[str, Any], str]:
         f"dots by the median too, in each of {intervals} equal intervals of time; the CSV files have every sample."
     )
     return data, note if reduced else ""
+
+
+def _floats(ends: tuple[float, float] | None) -> list[float] | None:
+    return None if ends is None else [float(end) for end in ends]
 
 
 def _encoded_times(time_s: FloatArray) -> dict[str, Any]:

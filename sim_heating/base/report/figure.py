@@ -58,7 +58,6 @@ THERMOCOUPLE: dict[str, Any] = {
     "linewidth": 0.8,
     "label": "outermost thermocouple, predicted",
 }
-TITLE_LINES = 4
 _collected: dict[Path, bytes] | None = None
 """Files that are drawn and not to be written yet."""
 

@@ -177,9 +177,7 @@ def page_html(page: Page, draws: Sequence[Callable[[], object]] = ()) -> str:
     pictures = {id(c): c.picture or Picture(c.figure, c.title) for c in charts if c.pictured}
     pictures |= {id(p): p for section in page.sections for p in section.pictures}
     urls = dict(zip(pictures, draw_files(draws, [partial(_url_of, p) for p in pictures.values()]), strict=True))
-    names = [*(CHART_SCRIPTS if charts else ()), *(TABLE_SCRIPTS if _sortable(page) else ())]
-    names = [*(SHARED_SCRIPTS if names else ()), *names]
-    scripts = [_asset(name) for name in names]
+    scripts = _scripts(page, has_charts=bool(charts))
     return _template().render(
         page=page,
         program=f"sim-heating {package_version()}",
@@ -191,6 +189,12 @@ def page_html(page: Page, draws: Sequence[Callable[[], object]] = ()) -> str:
         drawn=partial(_drawn, urls=urls, intervals=intervals_of(charts)),
         url_of=lambda picture: urls[id(picture)],
     )
+
+
+def _scripts(page: Page, has_charts: bool) -> list[Markup]:
+    """Scripts that a page needs, those of all parts first."""
+    names = [*(CHART_SCRIPTS if has_charts else ()), *(TABLE_SCRIPTS if _sortable(page) else ())]
+    return [_asset(name) for name in (*(SHARED_SCRIPTS if names else ()), *names)]
 
 
 def _url_of(picture: Picture | SavedPicture) -> str:

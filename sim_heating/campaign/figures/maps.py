@@ -115,9 +115,14 @@ def control_points(data: FlownData) -> PaperFigure:
                 *_positions(of_shield, axis), s=46, c=filled, edgecolors=color, linewidths=1.6, label=shield, zorder=3
             )
         a.scatter(
-            *_positions(hot, axis), s=150, facecolors="none", edgecolors="tab:red", linewidths=1.4,
-            label="above its limit", zorder=2,
-        )  # fmt: skip
+            *_positions(hot, axis),
+            s=150,
+            facecolors="none",
+            edgecolors="tab:red",
+            linewidths=1.4,
+            label="above its limit",
+            zorder=2,
+        )
         _name_points(a, points, axis)
         a.set_ylabel(label)
         a.margins(0.06, 0.22)

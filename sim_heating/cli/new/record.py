@@ -26,12 +26,11 @@ if TYPE_CHECKING:
     from sim_heating.templates.materials import LayerInput
     from sim_heating.templates.measured_csv import MeasuredCsv
 
-OF_THE_OTHER_RECORD = (
-    "--layer", "--lamp", "--lit", "--absorptance", "--emissivity", "--initial", "--surroundings", "--back-film",
-    "--back-temperature", "--back-emissivity", "--pressure", "--conditions", "--field", "--atmosphere",
-    "--reference-length", "--reference", "--ratio", "--ratio-table", "--nose-radius", "--running-length", "--sweep",
-    "--local-angle", "--recovery", "--point",
-)  # fmt: skip
+OF_REFERENCE = ("reference_length", "nose_radius", "running_length", "sweep", "local_angle", "recovery")
+_OF_WALL = ("layer", "lamp", "lit", "absorptance", "emissivity", "initial", "surroundings", "pressure", "point")
+_OF_BACK = ("back-film", "back-temperature", "back-emissivity")
+_OF_FLIGHT = ("conditions", "field", "atmosphere", "reference", "ratio", "ratio-table", *OF_REFERENCE)
+OF_THE_OTHER_RECORD = tuple(f"--{name.replace('_', '-')}" for name in (*_OF_WALL, *_OF_BACK, *_OF_FLIGHT))
 """Options of the stack, the flight and the heating, which `--like` takes from its record."""
 
 
@@ -343,8 +342,7 @@ def _refuse_without_flight(options: dict[str, Any]) -> None:
 
     raises : InputError with the first of them
     """
-    for name in ("fields", "atmosphere", "reference", "reference_length", "nose_radius", "running_length", "sweep",
-                 "local_angle", "recovery"):  # fmt: skip
+    for name in ("fields", "atmosphere", "reference", *OF_REFERENCE):
         if options[name] not in (None, {}):
             option = "--field" if name == "fields" else f"--{name.replace('_', '-')}"
             raise InputError(f"{option}: is of a flight; give --conditions FLIGHT.csv, or leave it out")

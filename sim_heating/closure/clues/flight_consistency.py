@@ -324,8 +324,15 @@ def _axial(flown: Conditions, *, least_sensed_m_s2: float = 0.05) -> _Relation |
 
 
 RELATIONS: tuple[Callable[[Conditions], _Relation | None], ...] = (
-    _gas, _hydrostatics, _mach, _reynolds, _enthalpy, _path, _drag, _axial,
-)  # fmt: skip
+    _gas,
+    _hydrostatics,
+    _mach,
+    _reynolds,
+    _enthalpy,
+    _path,
+    _drag,
+    _axial,
+)
 """Relations between the columns of a flight."""
 
 

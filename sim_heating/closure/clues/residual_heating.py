@@ -138,16 +138,20 @@ class ResidualHeating:
             "median_bandwidth_Hz": float(np.median(self.input.bandwidth_Hz[here])),
             "noise_over_declared": float(np.sqrt(self.input.variance_factor)),
             "noise_model": {
-                "sigma": self.input.disturbance.start_sigma, "correlation_s": self.input.disturbance.correlation_s,
+                "sigma": self.input.disturbance.start_sigma,
+                "correlation_s": self.input.disturbance.correlation_s,
             },
             "beyond_heating": [
                 {
-                    "sensor": s.sensor.name, "before_rmse_K": s.before_rmse_K, "after_rmse_K": s.after_rmse_K,
-                    "noise_floor_K": s.floor_K, "n": len(s.time_s),
+                    "sensor": s.sensor.name,
+                    "before_rmse_K": s.before_rmse_K,
+                    "after_rmse_K": s.after_rmse_K,
+                    "noise_floor_K": s.floor_K,
+                    "n": len(s.time_s),
                 }
                 for s in self.sensors
             ],
-        }  # fmt: skip
+        }
 
     def __repr__(self) -> str:
         fitted = self.fitted
@@ -174,10 +178,14 @@ def residual_heating(
     shift, channels = record_fit.shift_s(values), [c for c in record_fit.channels if c.sensor.name not in omitted]
     # At the times shifted by the clock and with the correction for the mesh: what these explain is not missing heating.
     samples, order = filter_samples(
-        channels, record_fit.sample_s + shift, record_fit.mesh, record_fit.sigma_K, record_fit.values(values),
+        channels,
+        record_fit.sample_s + shift,
+        record_fit.mesh,
+        record_fit.sigma_K,
+        record_fit.values(values),
         record_fit.correction_K,
         lag=record_fit.lag_offset(values, sensitive=False),
-    )  # fmt: skip
+    )
     track = FilterTrack(record_fit.model_at(values), record_fit.mesh, samples, (), record_fit.initial_K(values))
     flown, flux = _with_reference_flux(record_fit.conditions.at(record_fit.time_s))
     history = condition_history(flown)[np.newaxis]

@@ -48,10 +48,13 @@ class Shape:
         v = self.variable
         lag = f", {abs(self.lag_s):g} s {'behind' if self.lag_s > 0 else 'ahead of'} it" if self.lag_s else ""
         forms = {
-            "linear": f"{v}", "square": f"the square of {v} about {self.at:.4g}", "magnitude": f"the magnitude of {v}",
-            "above": f"the excess of {v} over {self.at:.4g}", "step": f"a step at {v} = {self.at:.4g}",
+            "linear": f"{v}",
+            "square": f"the square of {v} about {self.at:.4g}",
+            "magnitude": f"the magnitude of {v}",
+            "above": f"the excess of {v} over {self.at:.4g}",
+            "step": f"a step at {v} = {self.at:.4g}",
             "rate": f"the rate of change of {v}",
-        }  # fmt: skip
+        }
         return forms[self.form] + lag
 
 

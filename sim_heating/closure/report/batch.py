@@ -35,11 +35,14 @@ def residual_history(closure: Closure, *, intervals: int = 200) -> dict[str, Any
                 kept = kept[np.isfinite(prediction.residual_K[i][kept])]
                 curves.append(
                     {
-                        "sensor": sensor.name, "label": label, "color": color, "limits": fitted,
+                        "sensor": sensor.name,
+                        "label": label,
+                        "color": color,
+                        "limits": fitted,
                         "time_s": _rounded(record.time_s[kept], 3),
                         "residual_K": _rounded(prediction.residual_K[i][kept], 2),
                     }
-                )  # fmt: skip
+                )
     spans = [[s.start_s, s.end_s, s.label, s.color] for s in record_spans(record)]
     return {"curves": curves, "view": shown_span(record), "spans": spans}
 

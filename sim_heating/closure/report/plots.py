@@ -23,9 +23,14 @@ from sim_heating.simulation.report.charts import flown_panels, record_spans, sha
 
 PREDICTED = "0.62"
 LABELS = {n: f"{label}, deg" for n, (label, _) in ANGLES.items()} | {
-    "log10_re": "log10 of Reynolds number", "mach": "Mach number", "jets": "jets", "wall_K": "wall temperature, K",
-    "wall_enthalpy_ratio": "wall over recovery enthalpy", "axial_accel_g": "axial acceleration, g", TIME: "time, s",
-}  # fmt: skip
+    "log10_re": "log10 of Reynolds number",
+    "mach": "Mach number",
+    "jets": "jets",
+    "wall_K": "wall temperature, K",
+    "wall_enthalpy_ratio": "wall over recovery enthalpy",
+    "axial_accel_g": "axial acceleration, g",
+    TIME: "time, s",
+}
 COMPARED = "Each used sensor with its residuals below (measured minus predicted); held-out spans shaded."
 ACTIVE = "#f9dcdc"
 """Colour of the time in which a residual is active."""

@@ -73,7 +73,7 @@ def closure_json(closure: Closure) -> dict[str, Any]:
         "remarks": [remark.model_dump() for remark in closure.remarks],
         "program": f"sim-heating {package_version()}",
         "credibility": closure.credibility.as_json(),
-    }  # fmt: skip
+    }
 
 
 def write_closure(closure: Closure, folder: Path, draws: Sequence[Callable[[], object]] = ()) -> None:
@@ -98,20 +98,22 @@ def closure_page(closure: Closure) -> Page:
     kind = "measured" if record.declared.measured else "synthetic"
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data"
     warnings = [*(f.message for f in closure.faults), *further_warnings(closure.warnings, closure.remarks)]
-    sections = sections_of({
-        "Not an aerothermal effect": lambda: _not_effects_section(closure),
-        "What would tell them apart": lambda: tell_apart_section(closure.statement),
-        "Errors": lambda: _errors_section(closure),
-        "Does it explain the record?": lambda: _adequacy_section(closure),
-        "Measured against predicted": lambda: _comparison_section(closure),
-        "Estimated parameters": lambda: _parameters_section(closure),
-        "Candidates": lambda: _candidates_section(closure),
-        "Better, and may not be named": lambda: _barred_section(closure),
-        "Residual as heating": lambda: _heating_section(closure),
-        "Evidence": lambda: _evidence_section(closure),
-        "Residuals that no heating explains": lambda: _sensors_section(closure),
-        "Credibility": lambda: credibility_section(closure.credibility.as_json()),
-    })  # fmt: skip
+    sections = sections_of(
+        {
+            "Not an aerothermal effect": lambda: _not_effects_section(closure),
+            "What would tell them apart": lambda: tell_apart_section(closure.statement),
+            "Errors": lambda: _errors_section(closure),
+            "Does it explain the record?": lambda: _adequacy_section(closure),
+            "Measured against predicted": lambda: _comparison_section(closure),
+            "Estimated parameters": lambda: _parameters_section(closure),
+            "Candidates": lambda: _candidates_section(closure),
+            "Better, and may not be named": lambda: _barred_section(closure),
+            "Residual as heating": lambda: _heating_section(closure),
+            "Evidence": lambda: _evidence_section(closure),
+            "Residuals that no heating explains": lambda: _sensors_section(closure),
+            "Credibility": lambda: credibility_section(closure.credibility.as_json()),
+        }
+    )
     return Page(title, subtitle, sections, _headline(closure), warnings)
 
 
@@ -122,10 +124,12 @@ def closures_table(rows: Sequence[Mapping[str, Any]], pages: Sequence[str | None
     pages : of each record, the address of its own page
     """
     errors = {
-        "before, fit": "before_fit_rmse_K", "after, fit": "after_fit_rmse_K",
-        "before, held out": "before_holdout_rmse_K", "after, held out": "after_holdout_rmse_K",
+        "before, fit": "before_fit_rmse_K",
+        "after, fit": "after_fit_rmse_K",
+        "before, held out": "before_holdout_rmse_K",
+        "after, held out": "after_holdout_rmse_K",
         "noise floor": "noise_floor_K",
-    }  # fmt: skip
+    }
     columns = [Column("record"), Column("finding", is_text=True)]
     columns += [Column("prob.", "probability", ".2f"), Column("p-value", "p_value", ".2g")]
     columns += [Column(head, key, ".2f", "K") for head, key in errors.items()]
@@ -244,11 +248,13 @@ def _errors_section(closure: Closure) -> Section:
         rows.append([label, *(cell for segment in ("fit", "holdout") for cell in _error_cells(errors[segment]))])
     columns: list[Column | str] = [
         "",
-        Column("RMSE fitted, K", "fit_rmse_K", ".2f"), Column("largest, K", "fit_max_abs_K", ".1f"),
+        Column("RMSE fitted, K", "fit_rmse_K", ".2f"),
+        Column("largest, K", "fit_max_abs_K", ".1f"),
         Column("samples", "fit_n", ".0f"),
-        Column("RMSE held out, K", "holdout_rmse_K", ".2f"), Column("largest, K", "holdout_max_abs_K", ".1f"),
+        Column("RMSE held out, K", "holdout_rmse_K", ".2f"),
+        Column("largest, K", "holdout_max_abs_K", ".1f"),
         Column("samples", "holdout_n", ".0f"),
-    ]  # fmt: skip
+    ]
     caption = (
         f"Noise floor, from sensor noise and quantisation: {closure.noise_floor_K:.2f} K. Errors are those of the "
         "plain march, with no measurement assimilated. Held-out samples entered no fit; they were used only to rank "
@@ -327,8 +333,10 @@ def _barred_section(closure: Closure) -> list[Section]:
     """Models that fit better than the one that errors after are of, and why they may not be named."""
     rows = [[" + ".join(b.names), b.delta_evidence, b.reason] for b in closure.statement.barred]
     columns: list[Column | str] = [
-        "model", Column("log evidence above", format="+.1f"), Column("may not be named", is_text=True),
-    ]  # fmt: skip
+        "model",
+        Column("log evidence above", format="+.1f"),
+        Column("may not be named", is_text=True),
+    ]
     model = f"that with {closure.fitted_with}" if closure.fitted_with else "the declared model"
     text = f"Log evidence, segments held out and priors included, is above {model}."
     return [Section("Better, and may not be named", tables=[Table(text, columns, rows)])] if rows else []
@@ -372,25 +380,30 @@ def _evidence_section(closure: Closure) -> Section:
         "Weighted by 1 / sigma^2. The p-value is that of a correlation as large with an unrelated history, for the one "
         "variable and lag, and over all of them.",
         [
-            "variable", Column("lag, s", "lag_s", "+g"), Column("correlation", "value", "+.2f"),
-            Column("effective points", "n_effective", ".0f"), Column("p-value", "p_value", ".2g"),
+            "variable",
+            Column("lag, s", "lag_s", "+g"),
+            Column("correlation", "value", "+.2f"),
+            Column("effective points", "n_effective", ".0f"),
+            Column("p-value", "p_value", ".2g"),
             Column("p-value, all", "p_value_all", ".2g"),
         ],
         [
             [c.variable, c.lag_s, c.value, c.n_effective, _p_value_cell(c.p_value), _p_value_cell(c.p_value_all)]
             for c in e.correlations
         ],
-    )  # fmt: skip
+    )
     fits = Table(
         f"Best shape of each variable, and its part of the gain of the best history of any shape. The shapes amount to "
         f"{e.trials_factor:.0f} independent trials; the p-value of the best, from noise alone, is "
         f"{_p_value_text(e.p_value)}.",
         [
-            "shape", Column("size", "amplitude", "+.3g"), Column("sigmas", "z", ".1f"),
+            "shape",
+            Column("size", "amplitude", "+.3g"),
+            Column("sigmas", "z", ".1f"),
             Column("explains", "share", ".0%"),
         ],
         [[f.shape.describe(), f.amplitude, abs(f.z), f.share] for f in e.shape_fits[:8]],
-    )  # fmt: skip
+    )
     figure = hysteresis_figure(closure.residual, flight_variables(closure.residual), e)
     caption = "Residual around the manoeuvres with the widest loops: an error of the thermal model, a clock or a lag."
     pictures = [] if figure is None else [Picture(figure, caption)]

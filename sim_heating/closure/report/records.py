@@ -76,7 +76,7 @@ def joint_closure_json(joint: JointClosure) -> dict[str, Any]:
         "warnings": list(joint.warnings),
         "program": f"sim-heating {package_version()}",
         "credibility": joint.credibility.as_json(),
-    }  # fmt: skip
+    }
 
 
 def _condition(closure: Closure) -> dict[str, float]:
@@ -122,24 +122,28 @@ def joint_page(joint: JointClosure) -> Page:
     subtitle = f"Records {listed(joint.names)}, control point{plural} {listed(list(points))}"
     causes = joint.statement.not_effects
     not_effects = Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])
-    sections = sections_of({
-        "Not an aerothermal effect": lambda: not_effects if causes else [],
-        "What each record adds": lambda: _evidence_section(joint),
-        "Residuals side by side": lambda: _residuals_section(joint),
-        "What would tell them apart": lambda: tell_apart_section(joint.statement),
-        "Errors": lambda: _errors_section(joint),
-        "Does it explain the records?": lambda: _adequacy_section(joint),
-        "Parameters": lambda: _values_section(joint),
-        "Causes fitted to all records": lambda: _candidates_section(joint),
-        "Credibility": lambda: credibility_section(joint.credibility.as_json()),
-    })  # fmt: skip
+    sections = sections_of(
+        {
+            "Not an aerothermal effect": lambda: not_effects if causes else [],
+            "What each record adds": lambda: _evidence_section(joint),
+            "Residuals side by side": lambda: _residuals_section(joint),
+            "What would tell them apart": lambda: tell_apart_section(joint.statement),
+            "Errors": lambda: _errors_section(joint),
+            "Does it explain the records?": lambda: _adequacy_section(joint),
+            "Parameters": lambda: _values_section(joint),
+            "Causes fitted to all records": lambda: _candidates_section(joint),
+            "Credibility": lambda: credibility_section(joint.credibility.as_json()),
+        }
+    )
     before, after = (joint.pooled(p)["fit"] for p in ([c.before for c in joint.closures], joint.after))
     errors = f"RMSE over fitted data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after."
     return Page(
-        f"{len(joint.closures)} records, jointly", subtitle, sections,
+        f"{len(joint.closures)} records, jointly",
+        subtitle,
+        sections,
         (joint.in_words(), f"{joint.certainty()} {errors}"),
         [*joint.remarks(), *joint.warnings],
-    )  # fmt: skip
+    )
 
 
 def evidence_table(joint: JointClosure) -> Table:
@@ -147,10 +151,14 @@ def evidence_table(joint: JointClosure) -> Table:
     best, rival = joint.search.best, joint.search.rival
     against = "the next one" if rival is None else " + ".join(rival.names)
     columns: list[Column | str] = [
-        "record", Column("point", is_text=True), Column("by itself", "alone", is_text=True),
-        Column("for the cause", "for_cause", "+.1f"), Column(f"over {against}", "over_rival", "+.1f"),
-        Column("agrees, p", "agreement_p", ".2g"), Column("verdict", is_text=True),
-    ]  # fmt: skip
+        "record",
+        Column("point", is_text=True),
+        Column("by itself", "alone", is_text=True),
+        Column("for the cause", "for_cause", "+.1f"),
+        Column(f"over {against}", "over_rival", "+.1f"),
+        Column("agrees, p", "agreement_p", ".2g"),
+        Column("verdict", is_text=True),
+    ]
     rows: list[list[Any]] = [
         [e.record, e.point, finding_alone(e), e.for_cause, e.over_rival, e.agreement, e.verdict]
         for e in joint.search.evidence
@@ -202,11 +210,11 @@ def residuals_figure(joint: JointClosure) -> Figure:
         record = closure.record
         judged = record.fit_mask() | record.holdout_mask()
         curves = _curves(joint, closure, after)
+        style = {"linestyle": "none", "marker": ".", "markersize": 2.5, "rasterized": True}
         for prediction, color, label in curves:
             for k, i in enumerate(i for i, s in enumerate(record.sensors) if s.used):
-                legend = label if k == 0 else None
-                a.plot(record.time_s[judged], prediction.residual_K[i][judged], ".", color=color, markersize=2.5,
-                       label=legend, rasterized=True)  # fmt: skip
+                residual_K, legend = prediction.residual_K[i], label if k == 0 else None
+                a.plot(record.time_s[judged], residual_K[judged], color=color, label=legend, **style)
         a.axhline(0.0, color="0.3", linewidth=0.8)
         a.set_ylabel(f"{record.name}\nresidual, K")
         shade_holdout(a, record)
@@ -218,10 +226,13 @@ def residuals_figure(joint: JointClosure) -> Figure:
 
 def _errors_section(joint: JointClosure) -> Section:
     columns: list[Column | str] = [
-        "record", Column("fitted, before, K", format=".2f"), Column("after, K", format=".2f"),
-        Column("held out, before, K", format=".2f"), Column("held out, after, K", format=".2f"),
+        "record",
+        Column("fitted, before, K", format=".2f"),
+        Column("after, K", format=".2f"),
+        Column("held out, before, K", format=".2f"),
+        Column("held out, after, K", format=".2f"),
         Column("noise floor, K", format=".2f"),
-    ]  # fmt: skip
+    ]
     rows = []
     for closure, after in zip(joint.closures, joint.after, strict=True):
         errors = [p.segment_errors()[segment] for segment in ("fit", "holdout") for p in (closure.before, after)]
@@ -236,9 +247,12 @@ def _adequacy_section(joint: JointClosure) -> Section:
         for name, a in zip(joint.names, best.adequacy_by_record, strict=True)
     ]
     columns: list[Column | str] = [
-        "record", Column("chi-square, fitted", format=".2f"), Column("held out", format=".2f"),
-        Column("autocorrelation", format=".2f"), Column("p-value", format=".2g"),
-    ]  # fmt: skip
+        "record",
+        Column("chi-square, fitted", format=".2f"),
+        Column("held out", format=".2f"),
+        Column("autocorrelation", format=".2f"),
+        Column("p-value", format=".2g"),
+    ]
     text = "Reduced chi-squares of normalised residuals, 1 for the true model; p-values as for a single record."
     return Section("Does it explain the records?", tables=[Table(text, columns, rows)])
 
@@ -258,11 +272,14 @@ def _values_section(joint: JointClosure) -> Section:
         level = best.model.levels[name]
         common = [p for label, p in joint.parameters.items() if label.partition(AT)[0] == name]
         alone = [e.own.get(name) for e in joint.search.evidence]
-        rows.append([
-            name, only or whose["all" if one_point and level != RECORD else level],
-            "; ".join(_bound(p.value, p.sigma) for p in common) or "-",
-            *("-" if o is None else _bound(*o) for o in alone),
-        ])  # fmt: skip
+        rows.append(
+            [
+                name,
+                only or whose["all" if one_point and level != RECORD else level],
+                "; ".join(_bound(p.value, p.sigma) for p in common) or "-",
+                *("-" if o is None else _bound(*o) for o in alone),
+            ]
+        )
     exact = all(c.statement.model_error is None for c in joint.closures)
     bounds = "corrected for coloured residuals" if exact else "with the error of the models"
     text = (
@@ -285,9 +302,12 @@ def _candidates_section(joint: JointClosure) -> Section:
         score = 0.0 if h is None else h.score
         rows.append([c.name, c.delta_bic, score, c.fit_rmse_K, c.holdout_rmse_K, note])
     columns: list[Column | str] = [
-        "", Column("BIC - BIC of none", format="+.1f"), Column("score", format="+.1f"),
-        Column("RMSE fitted, K", format=".2f"), Column("RMSE held out, K", format=".2f"),
+        "",
+        Column("BIC - BIC of none", format="+.1f"),
+        Column("score", format="+.1f"),
+        Column("RMSE fitted, K", format=".2f"),
+        Column("RMSE held out, K", format=".2f"),
         Column("may not be named", is_text=True),
-    ]  # fmt: skip
+    ]
     text = "The score adds segments held out, priors on magnitudes and the number of forms."
     return Section("Causes fitted to all records", tables=[Table(text, columns, rows)])

@@ -122,9 +122,13 @@ def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None, *,
         named[f"heating before {start.time_s:g} s, where the fit begins"] = loss
     before_K = rmse_K(*models["before"])
     return HeldFit(
-        noise_floor_K=record.noise_floor_K(), fit_K=fit_K, before_K=before_K, after_K=after_K,
-        from_entry_K=from_entry_K, not_held=named,
-    )  # fmt: skip
+        noise_floor_K=record.noise_floor_K(),
+        fit_K=fit_K,
+        before_K=before_K,
+        after_K=after_K,
+        from_entry_K=from_entry_K,
+        not_held=named,
+    )
 
 
 class _Missing(NamedTuple):

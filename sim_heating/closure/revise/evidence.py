@@ -333,10 +333,15 @@ def _flown(
     factor = path.by_table if is_turbulent else np.ones(len(path.x))
     labels, B = fit.derivatives(path.x, path.declared)
     return FlownRatio(
-        labels, path.x, weight, factor * fit.ratio(path.x, path.declared), factor[:, None] * B,
-        fit.estimate.covariance(labels), shape_sigma(table, path.x, weight),
+        labels,
+        path.x,
+        weight,
+        factor * fit.ratio(path.x, path.declared),
+        factor[:, None] * B,
+        fit.estimate.covariance(labels),
+        shape_sigma(table, path.x, weight),
         fit.turbulent_at if is_turbulent else fit.laminar_at,
-    )  # fmt: skip
+    )
 
 
 def _path(estimate: Estimate, records: Sequence[Record]) -> FlownPath:

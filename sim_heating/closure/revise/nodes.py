@@ -69,9 +69,10 @@ def _with_best_node(
         step = positions[1] - positions[0]
         refined = minimize_scalar(
             lambda p, i=i: flown.misfit(_with_node(axes, i, p)),
-            bounds=(positions[best] - step, positions[best] + step), method="bounded",
+            bounds=(positions[best] - step, positions[best] + step),
+            method="bounded",
             options={"xatol": 0.5 * 10.0**-decimals},
-        )  # fmt: skip
+        )
         position = float(refined.x if refined.fun < misfits[best] else positions[best])
         new = _with_node(axes, i, round(position, decimals))
         tried.append((new, flown.misfit(new)))

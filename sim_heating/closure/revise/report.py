@@ -166,9 +166,12 @@ def _difference_table(update: TableUpdate, changed: TableChange, table_name: str
     named = {name: short for short, name, axis in axes if name not in SURFACES or len(axis) > 1}
     columns = [
         *(Column(short, name, "g") for name, short in named.items()),
-        Column("ratio before", "ratio_before", ".5g"), Column("after", "ratio_after", ".5g"), Column("", "change"),
-        Column("sigma before", "sigma_before", ".3g"), Column("after", "sigma_after", ".3g"),
-    ]  # fmt: skip
+        Column("ratio before", "ratio_before", ".5g"),
+        Column("after", "ratio_after", ".5g"),
+        Column("", "change"),
+        Column("sigma before", "sigma_before", ".3g"),
+        Column("after", "sigma_after", ".3g"),
+    ]
     rows = []
     for i in shown:
         before, after = nodes["ratio_before"][i], nodes["ratio_after"][i]
@@ -197,9 +200,12 @@ def _with_sigma(value: float, sigma: float, *, rounding: float = 1e-6) -> str:
 
 def _effects_table(update: TableUpdate) -> Table:
     columns: list[Column | str] = [
-        "effect", Column("parameter", is_text=True), "estimate", Column("before", format=".4g"),
+        "effect",
+        Column("parameter", is_text=True),
+        "estimate",
+        Column("before", format=".4g"),
         Column("after", format=".4g"),
-    ]  # fmt: skip
+    ]
     rows = []
     for effect in update.effects.changes():
         for name, value in effect["parameters"].items():
@@ -213,9 +219,11 @@ def _effects_table(update: TableUpdate) -> Table:
 def _errors_table(errors: dict[str, dict[str, Any]]) -> Table:
     columns: list[Column | str] = [
         "record",
-        Column("fit, before", "fit_before_K", ".2f", "K"), Column("after", "fit_after_K", ".2f", "K"),
-        Column("holdout, before", "holdout_before_K", ".2f", "K"), Column("after", "holdout_after_K", ".2f", "K"),
-    ]  # fmt: skip
+        Column("fit, before", "fit_before_K", ".2f", "K"),
+        Column("after", "fit_after_K", ".2f", "K"),
+        Column("holdout, before", "holdout_before_K", ".2f", "K"),
+        Column("after", "holdout_after_K", ".2f", "K"),
+    ]
     rows = []
     for name, segments in errors.items():
         errors_of_record = [segments[segment][when] for segment in ("fit", "holdout") for when in ("before", "after")]
@@ -225,10 +233,13 @@ def _errors_table(errors: dict[str, dict[str, Any]]) -> Table:
 
 def _held_table(fits: Mapping[str, HeldFit]) -> Table:
     columns: list[Column | str] = [
-        "record", Column("noise floor", "noise_floor_K", ".2f", "K"), Column("fit", "fit_K", ".2f", "K"),
-        Column("table before", "before_K", ".2f", "K"), Column("after", "after_K", ".2f", "K"),
+        "record",
+        Column("noise floor", "noise_floor_K", ".2f", "K"),
+        Column("fit", "fit_K", ".2f", "K"),
+        Column("table before", "before_K", ".2f", "K"),
+        Column("after", "after_K", ".2f", "K"),
         Column("after, from entry", "from_entry_K", ".2f", "K"),
-    ]  # fmt: skip
+    ]
     rows = [[n, h.noise_floor_K, h.fit_K, h.before_K, h.after_K, h.from_entry_K] for n, h in fits.items()]
     return Table("RMSE on the fitted samples, from where the fit began", columns, rows)
 

@@ -61,9 +61,12 @@ class StoredEvidence(Declared):
         problems += _shape_problems("covariance", self.covariance, k, k)
         problems += self._path_problems()
         numbers = {
-            "covariance": chain(*self.covariance), "x": chain(*self.x), "weight": self.weight, "ratio": self.ratio,
+            "covariance": chain(*self.covariance),
+            "x": chain(*self.x),
+            "weight": self.weight,
+            "ratio": self.ratio,
             "basis": chain(*self.basis),
-        }  # fmt: skip
+        }
         for key, largest in ((key, max(map(abs, values), default=0.0)) for key, values in numbers.items()):
             if largest > LARGEST:
                 problems.append(((key,), f"contains {largest:g}, beyond {LARGEST:g}, which no flight gives"))

@@ -228,9 +228,16 @@ def _with_measurements(
 
 
 def _makes(
-    base: RatioTable, measured: Sequence[FlownRatio], reach: Mapping[str, float], parent: RatioTable,
-    table: RatioTable, *, ratio_tolerance: float = 1e-5, sigma_tolerance: float = 2e-3, rounding: float = 1e-6,
-) -> bool:  # fmt: skip
+    base: RatioTable,
+    measured: Sequence[FlownRatio],
+    reach: Mapping[str, float],
+    parent: RatioTable,
+    table: RatioTable,
+    *,
+    ratio_tolerance: float = 1e-5,
+    sigma_tolerance: float = 2e-3,
+    rounding: float = 1e-6,
+) -> bool:
     """Whether evidence makes a table, to rounding.
 
     base : the table before any of it;  parent : the table before the last of it

@@ -229,10 +229,15 @@ def prepare_update(
     if isinstance(turbulent, TableHistory) and flight.turbulent is not None:
         turned = _change(turbulent, flight.turbulent, header)
     effects = effects_from_fit(
-        estimate, flight, laminar.after, None if turned is None else turned.after,
-        point_path(loaded_vehicle.directory, point.name), point,
-        _times(used), revision_path(Path(), point.name, history.revision + 1, "json").as_posix(),
-    )  # fmt: skip
+        estimate,
+        flight,
+        laminar.after,
+        None if turned is None else turned.after,
+        point_path(loaded_vehicle.directory, point.name),
+        point,
+        _times(used),
+        revision_path(Path(), point.name, history.revision + 1, "json").as_posix(),
+    )
     update = TableUpdate(
         loaded_vehicle,
         point,

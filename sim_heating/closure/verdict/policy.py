@@ -26,86 +26,123 @@ class Policy:
 
     # what a record has to have
     min_reading_times: int = rule(10, "1", "With readings at fewer times any cause would explain the residual.")
-    min_samples_for_probability: int = rule(30, "1",
-        "Of fewer fitted readings no probability is given.", "no record of the calibration has fewer")  # fmt: skip
+    min_samples_for_probability: int = rule(
+        30, "1", "Of fewer fitted readings no probability is given.", "no record of the calibration has fewer"
+    )
 
     # whether a model explains a record
-    adequate_p: float = rule(0.01, "1",
-        "A model with a p-value of at least this explains the record to its noise.",
-        "the usual level of 1 %")  # fmt: skip
-    contradicted_p: float = rule(0.001, "1",
+    adequate_p: float = rule(
+        0.01, "1", "A model with a p-value of at least this explains the record to its noise.", "the usual level of 1 %"
+    )
+    contradicted_p: float = rule(
+        0.001,
+        "1",
         "Below this something is missing that no candidate explains, or values contradict each other.",
-        "a tenth of adequate_p: one record in a thousand by chance")  # fmt: skip
-    model_error_chi2: float = rule(0.03, "1",
-        "Excess chi-square that meshes and steps may leave.", "a choice for the meshes of the search")  # fmt: skip
-    uneven_chi2: float = rule(0.15, "1",
-        "Excess of a part's chi-square, over that of the record, that noise of one size has.")  # fmt: skip
+        "a tenth of adequate_p: one record in a thousand by chance",
+    )
+    model_error_chi2: float = rule(
+        0.03, "1", "Excess chi-square that meshes and steps may leave.", "a choice for the meshes of the search"
+    )
+    uneven_chi2: float = rule(
+        0.15, "1", "Excess of a part's chi-square, over that of the record, that noise of one size has."
+    )
     max_lag1: float = rule(0.4, "1", "Largest lag-1 autocorrelation that counts as the colour of noise.")
     noise_colour: float = rule(0.1, "1", "Autocorrelation by which the colours of recorders differ.")
-    max_heating_error: float = rule(0.15, "1",
+    max_heating_error: float = rule(
+        0.15,
+        "1",
         "With a larger relative error of its heating a model is no explanation.",
-        "three times the error that a measured flight is expected to have")  # fmt: skip
+        "three times the error that a measured flight is expected to have",
+    )
 
     # whether a cause may be named
-    min_sigmas: float = rule(3.0, "sigma",
-        "A magnitude nearer to none at all is not told from none.", "the usual three standard deviations")  # fmt: skip
-    max_scatter_sigmas: float = rule(4.0, "sigma",
+    min_sigmas: float = rule(
+        3.0, "sigma", "A magnitude nearer to none at all is not told from none.", "the usual three standard deviations"
+    )
+    max_scatter_sigmas: float = rule(
+        4.0,
+        "sigma",
         "A declared value scatters up to this distance; what is further off is wrong for a reason.",
-        "one normal value in 16,000 is beyond")  # fmt: skip
-    near_bound_sigmas: float = rule(2.0, "sigma",
-        "A bound this near to the nominal value is a value as good as any other, as of a sharp onset.")  # fmt: skip
-    settled_gain: float = rule(0.5, "log likelihood",
+        "one normal value in 16,000 is beyond",
+    )
+    near_bound_sigmas: float = rule(
+        2.0, "sigma", "A bound this near to the nominal value is a value as good as any other, as of a sharp onset."
+    )
+    settled_gain: float = rule(
+        0.5,
+        "log likelihood",
         "A fit that a further step would not improve by more has converged.",
-        "half a unit is one standard deviation of one parameter")  # fmt: skip
-    held_out_gain: float = rule(1.0, "log density",
-        "A cause predicts the samples held out no worse than by this, and better where it promises.")  # fmt: skip
-    promised_gain: float = rule(3.0, "log density",
-        "Promise, by what is explained of the fitted samples, that those held out have to keep.")  # fmt: skip
+        "half a unit is one standard deviation of one parameter",
+    )
+    held_out_gain: float = rule(
+        1.0, "log density", "A cause predicts the samples held out no worse than by this, and better where it promises."
+    )
+    promised_gain: float = rule(
+        3.0, "log density", "Promise, by what is explained of the fitted samples, that those held out have to keep."
+    )
 
     # which cause is named
-    min_gain: float = rule(10.0, "BIC",
+    min_gain: float = rule(
+        10.0,
+        "BIC",
         "A cause, or one more, has to be better than none by this.",
-        "called very strong evidence by Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773")  # fmt: skip
-    min_gain_over_adequate: float = rule(30.0, "BIC",
-        "A cause gains this over a model that explains the record: errors of form give some gain.")  # fmt: skip
+        "called very strong evidence by Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773",
+    )
+    min_gain_over_adequate: float = rule(
+        30.0, "BIC", "A cause gains this over a model that explains the record: errors of form give some gain."
+    )
     min_gain_of_further: float = rule(6.0, "BIC", "One cause more gains this over every model with fewer.")
     max_causes: int = rule(3, "1", "Causes of a model at most.")
-    min_explained: float = rule(0.5, "1",
-        "Part of the remaining excess chi-square that a cause, or one more, or a curve, has to explain.")  # fmt: skip
-    min_explained_over_first: float = rule(0.1, "1",
-        "Chi-square that a further cause explains over that of the first: another form of it leaves less.")  # fmt: skip
-    min_explained_by_library: float = rule(0.9, "1",
-        "Part of the excess that a library's form explains before a free one is tried, which follows all.")  # fmt: skip
-    odds_apart: float = rule(20.0, "1",
+    min_explained: float = rule(
+        0.5, "1", "Part of the remaining excess chi-square that a cause, or one more, or a curve, has to explain."
+    )
+    min_explained_over_first: float = rule(
+        0.1, "1", "Chi-square that a further cause explains over that of the first: another form of it leaves less."
+    )
+    min_explained_by_library: float = rule(
+        0.9, "1", "Part of the excess that a library's form explains before a free one is tried, which follows all."
+    )
+    odds_apart: float = rule(
+        20.0,
+        "1",
         "Hypotheses with smaller odds between them cannot be told apart, nor does an experiment do so.",
-        "the usual level of 5 %")  # fmt: skip
-    twin_margin: float = rule(40.0, "BIC",
-        "Twins with scores this near are told apart by an error of the model's form, not by the record.")  # fmt: skip
+        "the usual level of 5 %",
+    )
+    twin_margin: float = rule(
+        40.0, "BIC", "Twins with scores this near are told apart by an error of the model's form, not by the record."
+    )
     reported_excess: float = rule(0.2, "1", "Excess chi-square from which on the residual of a finding is reported.")
 
     # how sure it is
-    min_probability: float = rule(0.5, "1",
-        "A finding with a smaller probability is not stated.", "rather right than wrong")  # fmt: skip
-    max_probability: float = rule(0.99, "1",
-        "Largest probability that is stated.", "some hundred records of known truth support no more")  # fmt: skip
+    min_probability: float = rule(
+        0.5, "1", "A finding with a smaller probability is not stated.", "rather right than wrong"
+    )
+    max_probability: float = rule(
+        0.99, "1", "Largest probability that is stated.", "some hundred records of known truth support no more"
+    )
     min_p_value: float = rule(1e-6, "1", "Below this the size of a p-value says no more.")
     confidence: float = rule(0.95, "1", "Confidence of a limit: of false alarms, of sizes.", "the usual level of 5 %")
-    told_apart: float = rule(0.5, "1",
-        "An error of the flight is told by itself where its sigma is below this part of its prior's.")  # fmt: skip
+    told_apart: float = rule(
+        0.5, "1", "An error of the flight is told by itself where its sigma is below this part of its prior's."
+    )
     significance: float = rule(0.01, "1", "Level of the tests for clues in a residual.", "the usual level of 1 %")
 
     # what is fitted on
-    min_promised: float = rule(0.25, "1",
-        "Part of the best predicted gain below which a candidate is not fitted.", "predictions are linear")  # fmt: skip
-    gain_margin: float = rule(5.0, "log likelihood",
-        "What a prediction may be wrong by, and a candidate that is fitted on behind the best.")  # fmt: skip
-    min_of_best: float = rule(0.5, "1",
-        "Part of the best gain with which one that may be one of two causes, or a rival, is fitted on.")  # fmt: skip
+    min_promised: float = rule(
+        0.25, "1", "Part of the best predicted gain below which a candidate is not fitted.", "predictions are linear"
+    )
+    gain_margin: float = rule(
+        5.0, "log likelihood", "What a prediction may be wrong by, and a candidate that is fitted on behind the best."
+    )
+    min_of_best: float = rule(
+        0.5, "1", "Part of the best gain with which one that may be one of two causes, or a rival, is fitted on."
+    )
     min_of_adequate: float = rule(
         0.85, "1", "Part of the best gain with which a rival of a model that explains the record is fitted on."
     )
-    rival_margin: float = rule(30.0, "log likelihood",
-        "Distance from the best gain within which a candidate is a rival in any case.")  # fmt: skip
+    rival_margin: float = rule(
+        30.0, "log likelihood", "Distance from the best gain within which a candidate is a rival in any case."
+    )
 
     @property
     def set_margin(self) -> float:

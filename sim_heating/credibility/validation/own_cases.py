@@ -101,11 +101,10 @@ def case_of_record(record: Record, residual_K: FloatArray) -> ValidationCase:
         raise InputError(f"{record.name}: no reading lies within the conditions; nothing can be compared")
     read, samples = wall_readings(record)
     readings, compared = record.temperatures_K()[used], residual_K[np.ix_(np.array(used), np.flatnonzero(read))]
-    return ValidationCase(
-        record.name, declared.title, samples.kind, declared.vehicle, declared.control_point, declared.source,
-        record_digest(record), float(errors["rmse_K"]), float(errors["max_abs_K"]), int(errors["n"]),
-        float(np.nanmax(readings) - np.nanmin(readings)), bands_of(samples, compared),
-    )  # fmt: skip
+    described = (record.name, declared.title, samples.kind, declared.vehicle, declared.control_point, declared.source)
+    measured = (float(errors["rmse_K"]), float(errors["max_abs_K"]), int(errors["n"]))
+    range_K = float(np.nanmax(readings) - np.nanmin(readings))
+    return ValidationCase(*described, record_digest(record), *measured, range_K, bands_of(samples, compared))
 
 
 def wall_readings(record: Record) -> tuple[BoolArray, Samples]:

@@ -45,8 +45,12 @@ ESTIMATED_BY = {
 }
 """Kind of manoeuvre -> parameters that it is flown to estimate."""
 NUISANCE = (
-    "ratio.scale", "stack.coating.thickness_factor", "stack.rsi.conductivity_factor", CLOCK_SKEW.name, PRESSURE.name,
-)  # fmt: skip
+    "ratio.scale",
+    "stack.coating.thickness_factor",
+    "stack.rsi.conductivity_factor",
+    CLOCK_SKEW.name,
+    PRESSURE.name,
+)
 """Unknowns in addition to these and to the derivatives of the point's ratio table."""
 # the point mass is enough to rank designs: flown in JSBSim, the best one has a bound within half a per cent
 # (docs/how_to/manoeuvre_design.md)

@@ -224,10 +224,9 @@ def step_readings(readings: int, size: int, parameters: int) -> StepReadings:
     """
     x, mean, rate, weight, inverse = np.zeros((5, readings))
     cross, rows, projected = np.zeros((3, readings, size))
-    return StepReadings(
-        x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, projected, weight,
-        inverse, np.zeros(max(readings, size)), np.zeros(size),
-    )  # fmt: skip
+    square, slopes = np.zeros((readings, readings)), np.zeros((readings, parameters))
+    work = (np.zeros(max(readings, size)), np.zeros(size))
+    return StepReadings(x, mean, rate, square, cross, slopes, rows, projected, weight, inverse, *work)
 
 
 def frozen_gains(after_s: FloatArray, readings: int, size: int) -> FrozenGains:

@@ -441,13 +441,15 @@ class _InverseProblem:
         sigma = np.sqrt(np.diag(covariance))
         information, score = _without_start(A, b, self.extra)
         spacing = np.min(np.diff(self.knots), initial=np.inf)
-        return UnknownInput(
-            self.knots, u[self.extra :], sigma, np.minimum(bandwidth_Hz(chosen, sigma), 0.5 / spacing),
-            half_amplitude_Hz(self.knots, information, covariance), chosen, factor,
-            self._log_marginal(here, A, b, chosen, factor) - without, here.response.temperature_K, here.response.read_K,
-            G[:, self.extra :], here.scored.score / factor, here.scored.information / factor, information, score,
-            covariance,
-        )  # fmt: skip
+        bandwidth = np.minimum(bandwidth_Hz(chosen, sigma), 0.5 / spacing)
+        half_amplitude = half_amplitude_Hz(self.knots, information, covariance)
+        gain = self._log_marginal(here, A, b, chosen, factor) - without
+        response, scored = here.response, here.scored
+        readings = (response.temperature_K, response.read_K, G[:, self.extra :])
+        of_readings = (scored.score / factor, scored.information / factor)
+        size = (u[self.extra :], sigma, bandwidth, half_amplitude)
+        of_knots = (information, score, covariance)
+        return UnknownInput(self.knots, *size, chosen, factor, gain, *readings, *of_readings, *of_knots)
 
 
 def _log_evidence(A: FloatArray, b: FloatArray, Q: FloatArray, log_det_Q: float) -> tuple[float, float]:

@@ -47,7 +47,6 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.kernels.operations import call_step, pointer
-from sim_heating.base.kernels.truncated_normal import LOG_ROOT_2PI, truncated_normal
 from sim_heating.estimation.filter.arrays import (
     Blocks,
     FilterArrays,
@@ -60,6 +59,7 @@ from sim_heating.estimation.filter.arrays import (
     StepReadings,
     Workspace,
 )
+from sim_heating.estimation.inference.truncated_normal import LOG_ROOT_2PI, truncated_normal
 from sim_heating.march.frames import Flights, set_flight_conditions
 from sim_heating.thermal.faces import COLDEST_K
 from sim_heating.thermal.frame import EVALUATE_START, shift_conditions

@@ -435,11 +435,10 @@ class OnlineFilter(FilterMarch):
         lane, n, m = self._lane_of[i], self.points[i].mesh.nodes, self.points[i].parameters
         sigma = np.sqrt(np.maximum(outlook.variance[lane, : n + 1], 0.0))
         ratio, ratio_sigma, ratio_declared = outlook.ratio[lane].tolist()
-        return PointEstimate(
-            self.now_s, outlook.z[lane, :n] + error_K[:n], sigma[:n], float(outlook.z[lane, n]), float(sigma[n]),
-            ratio, ratio_sigma, ratio_declared, self.names[i], outlook.p[lane, :m], outlook.covariance[lane, :m, :m],
-            self._state_now.P[lane, : n + 1, : n + 1].copy(), self._state_now.S[lane, : n + 1, :m].copy(),
-        )  # fmt: skip
+        z, P, S = outlook.z[lane], self._state_now.P[lane, : n + 1, : n + 1], self._state_now.S[lane, : n + 1, :m]
+        wall = (z[:n] + error_K[:n], sigma[:n], float(z[n]), float(sigma[n]), ratio, ratio_sigma, ratio_declared)
+        parameters = (self.names[i], outlook.p[lane, :m], outlook.covariance[lane, :m, :m])
+        return PointEstimate(self.now_s, *wall, *parameters, P.copy(), S.copy())
 
     @property
     def names(self) -> list[tuple[str, ...]]:

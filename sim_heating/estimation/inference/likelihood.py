@@ -6,7 +6,7 @@ With indicated temperature y ~ N(m, sigma^2), m the model's prediction after cal
     recorder word       log L = log [Phi((b - m) / sigma) - Phi((a - m) / sigma)],   y was in [a, b),
 
 the interval open at either end of the word's span. The derivatives of the second are moments of the truncated normal
-(base/kernels/truncated_normal.py): score E x / sigma, information (1 - var x) / sigma^2, between 0 and that of an
+(truncated_normal.py): score E x / sigma, information (1 - var x) / sigma^2, between 0 and that of an
 unrounded sample, so that log L is concave in m. The moments themselves are the update of a normal prior by a rounded
 sample: R. E. Curry, "Estimation and Control with Quantized Measurements" (MIT Press, 1970). Derived in
 docs/theory/estimation_statistics.md, equations 3 to 12.
@@ -23,7 +23,7 @@ from scipy.special import log_ndtr, ndtri_exp
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.truncated_normal import (
+from sim_heating.estimation.inference.truncated_normal import (
     GAIN,
     LOG_Z,
     MEAN,
@@ -273,7 +273,7 @@ def quantile_residuals(
 
 
 def _terms(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """(..., 7) terms of base/kernels/truncated_normal.py for the broadcast samples, and sigma in their shape [K]."""
+    """(..., 7) terms of truncated_normal.py for the broadcast samples, and sigma in their shape [K]."""
     mean = np.asarray(mean_K, dtype=float)
     arrays = np.broadcast_arrays(samples.lower_K, samples.upper_K, mean, _positive(sigma_K))
     lower, upper, mean, sigma = (np.array(a, order="C") for a in arrays)

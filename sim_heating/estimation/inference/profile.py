@@ -118,10 +118,9 @@ def profile(
     log_posterior = np.array([walk.refits[v].log_posterior for v in values])
     best = int(np.argmax(log_posterior))
     (lower, lower_open), (upper, upper_open) = ends
-    return Profile(
-        name, walk.parameter.unit, float(values[best]), lower, upper, lower_open, upper_open, values,
-        np.array([walk.deviance(v) for v in values]), colour, float(log_posterior[best] - fit.log_posterior),
-    )  # fmt: skip
+    deviance, gain = np.array([walk.deviance(v) for v in values]), float(log_posterior[best] - fit.log_posterior)
+    interval = (lower, upper, lower_open, upper_open)
+    return Profile(name, walk.parameter.unit, float(values[best]), *interval, values, deviance, colour, gain)
 
 
 @dataclass(frozen=True, eq=False)

@@ -397,8 +397,8 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
     """Write an estimate with its digest, atomically; it reads back equal. Empty optional keys are omitted."""
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
-    optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program", "provenance",
-                "fixed", "ties", "record_names", "remarks", "finding")  # fmt: skip
+    of_records = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "record_names")
+    optional = (*of_records, "program", "provenance", "fixed", "ties", "remarks", "finding")
     data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
     data = {k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}
     write_json(path, with_digest(with_provenance(data)))

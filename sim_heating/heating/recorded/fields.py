@@ -24,10 +24,8 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, LocatedError, Location, suggestion
 from sim_heating.base.files.units import NO_DIMENSION, Conversion, conversion, converted, known_unit, name_and_unit
 
-UNITS = {
-    "s": "s", "m": "m", "m_s": "m/s", "deg": "deg", "K": "K", "Pa": "Pa", "kg_m3": "kg/m3", "W_m2": "W/m2",
-    "kg_m2_s": "kg/(m2.s)", "J_kg": "J/kg", "g": "", "": "",
-}  # fmt: skip
+_QUOTIENTS = {"m_s": "m/s", "kg_m3": "kg/m3", "W_m2": "W/m2", "kg_m2_s": "kg/(m2.s)", "J_kg": "J/kg"}
+UNITS = {**{unit: unit for unit in ("s", "m", "deg", "K", "Pa")}, **_QUOTIENTS, "g": "", "": ""}
 """Ending of a column's name -> its unit for pint; what has no unit is a plain number."""
 REYNOLDS, SOUND, GEOPOTENTIAL = "reynolds", "sound_m_s", "geopotential_m"
 """What a file may state in place of a column: Reynolds number [-], speed of sound [m/s], geopotential height [m]."""

@@ -189,7 +189,7 @@ class LiveEstimator:
             self._follow_back(ended)
             return
         for point, sensor in self.clocks.take_failed(ended):
-            self._change_use(point, sensor, ended.first_s, True)
+            self.leave_out(point, sensor, ended.first_s)
             if self.stepper.has_passed(ended.first_s):
                 self.stepper.refilter_since(ended.first_s)
 
@@ -213,27 +213,18 @@ class LiveEstimator:
                   The running estimate does not, as when that could be done depends on when the samples came
         raises  : InputError for an unknown point or sensor
         """
-        self._change_use(point, sensor, since_s, True)
-        if wrong_s is not None:
-            self._wrong[self._sensors.numbers[point, sensor]] = (wrong_s, since_s)
-
-    def take_in(self, point: str, sensor: str, since_s: float) -> None:
-        """Use the readings of a sensor again from a time on [s]."""
-        self._change_use(point, sensor, since_s, False)
-
-    def _change_use(self, point: str, sensor: str, since_s: float, out: bool) -> None:
         if (point, sensor) not in self._sensors.numbers:
             raise InputError(self._unknown(point, sensor))
         self._relinearisation.take_due()
         spans = self.stepper.march.left_out[self._sensors.numbers[point, sensor]].spans
         self.stepper.is_due = True
-        if out and not (spans and spans[-1][1] == math.inf):
+        if not (spans and spans[-1][1] == math.inf):
             spans.append((since_s, math.inf))
-        elif not out and spans and spans[-1][1] == math.inf:
-            spans[-1] = (spans[-1][0], math.nextafter(since_s, -math.inf))
         if self.stepper.has_passed(since_s):
             # what is older than the window stays as it was filtered
             self.stepper.refilter_since(max(since_s, self.timeline.newest_s - self.options.lateness_s))
+        if wrong_s is not None:
+            self._wrong[self._sensors.numbers[point, sensor]] = (wrong_s, since_s)
 
     # Filtering -------------------------------------------------------------------------------------------------------
 

@@ -95,10 +95,10 @@ class StepMarch:
                 innovations = take_step(lane_readings)
             columns[of_filter] = np.column_stack(innovations)
         predicted, variance = columns[:, 0], columns[:, 1]
-        columns = np.column_stack([
-            rows[:, 0], rows[:, 1], np.where(is_out, read_K - predicted, columns[:, 2]),
-            np.where(is_out, variance, columns[:, 3]), predicted, variance, read_K, is_out,
-        ])  # fmt: skip
+        innovation = np.where(is_out, read_K - predicted, columns[:, 2])
+        of_innovation = np.where(is_out, variance, columns[:, 3])
+        judged = (innovation, of_innovation, predicted, variance, read_K, is_out)
+        columns = np.column_stack([rows[:, 0], rows[:, 1], *judged])
         if linearise:
             self._linearise(filters, begin_s, end_s)
         return columns[np.isfinite(columns[:, 2])]
@@ -146,8 +146,6 @@ def _track(
     empty = Samples(nothing, np.zeros(0, dtype=np.int64), *(nothing,) * 5)
     wanders = Disturbance() if options.ratio_noise is None else Disturbance.gauss_markov(*options.ratio_noise)
     columns = np.zeros((point.mesh.nodes, len(names) - len(march)))
-    track = FilterTrack(
-        point.model, point.mesh, empty, march, None, columns if columns.shape[1] else None,
-        noise_K2_s=options.node_noise_K_sqrt_s**2, disturbance=wanders,
-    )  # fmt: skip
+    noise_K2_s, extra = options.node_noise_K_sqrt_s**2, columns if columns.shape[1] else None
+    track = FilterTrack(point.model, point.mesh, empty, march, None, extra, noise_K2_s=noise_K2_s, disturbance=wanders)
     return track, {n: priors[n] if n in priors else default_prior(point.model, n, point.sensors) for n in names}

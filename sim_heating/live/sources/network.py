@@ -97,10 +97,6 @@ class Inbox:
             await self._ready.wait()
 
 
-def _is_loopback(host: str) -> bool:
-    return host in ("localhost", "::1") or host.startswith("127.")
-
-
 async def bodies(
     settings: Network, cut: Cut, remark: Callable[[str], None], file: Path | None = None
 ) -> AsyncIterator[bytes]:

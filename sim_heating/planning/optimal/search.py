@@ -478,15 +478,22 @@ def _load_per_K(s: _Steering, i: int, bondline_K: float) -> float:
 def _entry(search: EntrySearch, motion: Motion, rounds: Sequence[OptimisationRound]) -> OptimalEntry:
     flown = search.conditions(motion)
     histories = search.march(flown, search.models)
-    peaks = search.peaks(histories)
-    nominal = search.peaks(search.march(flown, search.nominal_models))
     notes = search.notes(flown)
     if np.max(motion.errors) > search.study.declared.mesh_tolerance:
         notes.append(_mesh_note(search.study, motion))
     entry = OptimalEntry(
-        search.study, motion, flown, float(motion.goal) * tables.PLANET.radius_m / 1e3,
-        tuple(histories), peaks, nominal, tuple(rounds), "", tuple(notes), search.flight_peaks(motion, flown),
-    )  # fmt: skip
+        search.study,
+        motion,
+        flown,
+        cross_range_km=float(motion.goal) * tables.PLANET.radius_m / 1e3,
+        histories=tuple(histories),
+        peaks=search.peaks(histories),
+        nominal=search.peaks(search.march(flown, search.nominal_models)),
+        rounds=tuple(rounds),
+        status="",
+        notes=tuple(notes),
+        flight_peaks=search.flight_peaks(motion, flown),
+    )
     return replace(entry, status=_status(entry))
 
 

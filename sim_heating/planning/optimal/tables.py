@@ -79,13 +79,26 @@ def conditions_along(
     mach = V / standard_speed_of_sound(h)
     flown = np.array([aero.at(*at) for at in zip(mach.tolist(), alpha.tolist(), V.tolist(), strict=True)])
     drag_g = 0.5 * rho * V**2 * aero.area_m2 / aero.mass_kg / G0_M_S2
+    angles = {
+        "gamma_deg": od.GAMMA,
+        "heading_deg": od.HEADING,
+        "latitude_deg": od.LATITUDE,
+        "longitude_deg": od.LONGITUDE,
+    }
     columns = {
-        "time_s": time_s, "altitude_m": h, "velocity_m_s": V, "alpha_deg": alpha, "beta_deg": 0.0,
-        "elevon_deg": flown[:, 3], "bodyflap_deg": flown[:, 4], "rho_kg_m3": rho, "jets": 0.0,
-        "bank_deg": controls[od.BANK], "gamma_deg": np.degrees(states[od.GAMMA]),
-        "heading_deg": np.degrees(states[od.HEADING]), "latitude_deg": np.degrees(states[od.LATITUDE]),
-        "longitude_deg": np.degrees(states[od.LONGITUDE]), "axial_accel_g": drag_g * flown[:, 2],
-    }  # fmt: skip
+        "time_s": time_s,
+        "altitude_m": h,
+        "velocity_m_s": V,
+        "alpha_deg": alpha,
+        "beta_deg": 0.0,
+        "elevon_deg": flown[:, 3],
+        "bodyflap_deg": flown[:, 4],
+        "rho_kg_m3": rho,
+        "jets": 0.0,
+        "bank_deg": controls[od.BANK],
+        **{name: np.degrees(states[row]) for name, row in angles.items()},
+        "axial_accel_g": drag_g * flown[:, 2],
+    }
     rows = np.column_stack([np.broadcast_to(columns[name], time_s.shape) for name in ROW])
     return conditions_from_rows(rows, study.vehicle.reference_length_m)
 

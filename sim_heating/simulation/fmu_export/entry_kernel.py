@@ -37,9 +37,9 @@ from sim_heating.trajectory.point_mass import (
     runge_kutta_step,
 )
 
-(
-    PILOT, MANOEUVRES, CHOICES, INITIAL, FLIGHT, GUIDANCE, SCRIPT, AERO, STATE, WORK, ROW, OPTIONS,
-) = range(I_HEAD, I_HEAD + 12)  # fmt: skip
+(PILOT, MANOEUVRES, CHOICES, INITIAL, FLIGHT, GUIDANCE, SCRIPT, AERO, STATE, WORK, ROW, OPTIONS) = range(
+    I_HEAD, I_HEAD + 12
+)
 """Integers of the model after those of library.py: who commands, the number of manoeuvres, and the places of arrays: of
 the choices (three a manoeuvre) in N, of the aerodynamic tables in T, of all others in R."""
 N_MODEL = 24

@@ -420,13 +420,12 @@ class _HeatingPacker(ImagePacker):
             # A point that fills up its group has several lanes; parameters that a host sets go to all of them.
             of_point = e.lanes[lane.group * LANES : (lane.group + 1) * LANES] == i
             elements = elements_of(model.construction, mesh)
-            rows.append([
-                lane.group, int(np.argmax(of_point)), int(np.sum(of_point)), len(mesh.layer),
-                image.add_integers(elements.layer), image.add_numbers(elements.length_m),
-                image.add_numbers(elements.density_kg_m3),
-                lane.temperature(mesh.bondline), elements.insulation, elements.bondline,
-                image.add_integers(elements.slot), image.add_numbers(elements.stretch),
-            ])  # fmt: skip
+            lanes = [int(np.argmax(of_point)), int(np.sum(of_point))]
+            layers = [image.add_integers(elements.layer), image.add_numbers(elements.length_m)]
+            layers.append(image.add_numbers(elements.density_kg_m3))
+            bondline = [lane.temperature(mesh.bondline), elements.insulation, elements.bondline]
+            slots = [image.add_integers(elements.slot), image.add_numbers(elements.stretch)]
+            rows.append([lane.group, *lanes, len(mesh.layer), *layers, *bondline, *slots])
             named = len(image.variables)
             self._name_point(point, model, numbers + k.POINT_WIDTH * i)
             sensors += self._pack_sensors(point, mesh, lane)

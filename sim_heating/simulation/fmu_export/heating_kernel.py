@@ -106,26 +106,21 @@ from sim_heating.thermal.faces import SIGMA, emittance
 from sim_heating.thermal.frame import STAGE_ROWS
 
 # Integers of the model, after those of library.py: numbers of entries, and places of arrays in R or N.
-(
-    N_POINTS, N_ROWS, N_GROUPS, N_STATE, N_TABLE, N_INTS, N_SENSORS,
-    GROUPS, LANE_POINTS, INTS, POINT_INTS, SENSOR_INTS,
-    STATE, TABLE, VECTORS, CONSTANTS, HOST, FRAMES, INPUTS_AT_STATE, RANGES, OPTIONS, POINT_NUMBERS, WRITTEN,
-    N_TABLES, STARTED_FROM, BETWEEN, VECTORS_THEN,
-) = range(I_HEAD, I_HEAD + 27)  # fmt: skip
+N_POINTS, N_ROWS, N_GROUPS, N_STATE, N_TABLE, N_INTS, N_SENSORS = range(I_HEAD, I_HEAD + 7)
+GROUPS, LANE_POINTS, INTS, POINT_INTS, SENSOR_INTS = range(I_HEAD + 7, I_HEAD + 12)
+STATE, TABLE, VECTORS, CONSTANTS, HOST, FRAMES, INPUTS_AT_STATE, RANGES = range(I_HEAD + 12, I_HEAD + 20)
+OPTIONS, POINT_NUMBERS, WRITTEN, N_TABLES, STARTED_FROM, BETWEEN, VECTORS_THEN = range(I_HEAD + 20, I_HEAD + 27)
 N_MODEL = 40
 LONGEST_STEP = 0
 """Place in the options: longest thermal step [s]."""
 F_Q_ADD, F_AROUND, F_H_REF, F_H_R = (len(FRAME) + k for k in range(4))
-FRAME_WIDTH = len(FRAME) + 4
 HOST_WIDTH = 16
 
 # A point's integers: its group, first lane, number of lanes, number of elements, place of their layers in N, places of
 # their lengths and densities in R, place of the bondline in the state, layer of insulation, node of the bondline,
 # places of the slots of the elements in N and of their stretch in R.
-(
-    P_GROUP, P_LANE, P_LANES, P_ELEMENTS, P_LAYERS, P_LENGTHS, P_DENSITIES, P_BONDLINE, P_INSULATION, P_BOTTOM, P_SLOTS,
-    P_STRETCH,
-) = range(12)  # fmt: skip
+P_GROUP, P_LANE, P_LANES, P_ELEMENTS, P_LAYERS, P_LENGTHS, P_DENSITIES = range(7)
+P_BONDLINE, P_INSULATION, P_BOTTOM, P_SLOTS, P_STRETCH = range(7, 12)
 POINT_INTS_WIDTH = 12
 # A point's numbers: parameters as in a lane of the kernel (base/kernels/block.py), those of its stack, limits, outputs.
 P_STACK = N_PARAMETERS
@@ -141,11 +136,9 @@ S_PLACE, S_NUMBERS, S_CALIBRATION, S_COEFFICIENTS, S_BEFORE = range(5)
 SENSOR_WIDTH = 5
 S_GAIN, S_BIAS, S_INDICATED, S_TAU, S_LAGGED = range(5)
 
-KEPT_ROWS = (
-    *(row + 2 for row in STAGE_ROWS), SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS, FAILED, ITERATIONS, OUTSIDE,
-    NEGATIVE, STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT, LAG_PAST, SURFACE_SHARE, LAST_STEP,
-    STEPS,
-)  # fmt: skip
+_OF_FACES = (SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS, FAILED, ITERATIONS, OUTSIDE, NEGATIVE)
+_OF_HEAT = (STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT, LAG_PAST, SURFACE_SHARE, LAST_STEP, STEPS)
+KEPT_ROWS = (*(row + 2 for row in STAGE_ROWS), *_OF_FACES, *_OF_HEAT)
 """Scalar rows of a block that belong to the state: of a quantity with one row a stage that of the end of the step. The
 conditions of that stage are kept as well; all of them of the first lane of each point."""
 KEPT_NODE_ROWS = (TEMPERATURE, RATE, E_START, NET, CURVE)

@@ -37,10 +37,9 @@ MONTHS = {
     )
     for name in names.split()
 }
-ZONES = {
-    "z": 0, "utc": 0, "gmt": 0, "bst": 1, "cet": 1, "mez": 1, "cest": 2, "mesz": 2, "est": -5, "edt": -4, "cst": -6,
-    "cdt": -5, "mst": -7, "mdt": -6, "pst": -8, "pdt": -7,
-}  # fmt: skip
+_EUROPE = {"z": 0, "utc": 0, "gmt": 0, "bst": 1, "cet": 1, "mez": 1, "cest": 2, "mesz": 2}
+_AMERICA = {"est": -5, "edt": -4, "cst": -6, "cdt": -5, "mst": -7, "mdt": -6, "pst": -8, "pdt": -7}
+ZONES = {**_EUROPE, **_AMERICA}
 """Names of offsets from UTC [h]; they matter where they change within a file."""
 DATE = (
     r"(?:(?P<a>\d{1,4})(?P<mark>[-/. ])(?P<b>\d{1,2}|[^\W\d]{3,9}\.?)(?:(?P=mark)|, ?)(?P<c>\d{2,4})"

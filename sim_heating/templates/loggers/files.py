@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -46,6 +48,25 @@ def read_table(path: Path, kind: str, sheet: str | None) -> Block | list[list[st
     except Exception as error:  # each library has its own
         line = " ".join(str(error).split())[:120]
         raise InputError(f"{display_path(path)}: cannot be read as {kind} ({line}); export a CSV file") from None
+
+
+def json_block(path: Path, text: str) -> Block:
+    """The block of JSON lines, one object a row, whose keys are names of columns.
+
+    raises : InputError, one line, for a row that is no object
+    """
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+    rows = []
+    for i, line in lines:
+        try:
+            row = json.loads(line)
+        except ValueError:
+            row = None
+        if not isinstance(row, dict):
+            raise InputError(f"{display_path(path)}, row {i}: no JSON object; write one a row, with the same keys")
+        rows.append(row)
+    block = of_frame(path, pd.DataFrame(rows, dtype=object), {}, "JSON lines")
+    return replace(block, lines=tuple(i for i, _ in lines))
 
 
 def _parquet(path: Path) -> Block:

@@ -18,8 +18,9 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 
 OVERLOAD = 1e30
 """A larger magnitude is the overload of a recorder, in any unit."""
-OPEN = (2048.0, 2047.0, 2047.75, 2047.9375, 1372.0, 1370.0, 32767.0, -32768.0, 65535.0, 6553.5, 3276.7, -127.0,
-        999.0, 999.9, 9999.0, 9999.9, 99999.0)  # fmt: skip
+_NINES = (999.0, 999.9, 9999.0, 9999.9, 99999.0)
+_FULL_SCALES = (2048.0, 2047.0, 2047.75, 2047.9375, 1372.0, 1370.0, 32767.0, -32768.0, 65535.0, 6553.5, 3276.7, -127.0)
+OPEN = (*_FULL_SCALES, *_NINES)
 """Readings of a converter whose input is open or at the end of its range, and rows of nines of loggers."""
 DROPPED = (0.0, 85.0)
 """Readings of a converter that gave none, which may as well be true ones."""

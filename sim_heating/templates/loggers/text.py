@@ -20,11 +20,12 @@ Row = tuple[int, Sequence[str]]
 """Line and cells; tuples, which the collector of garbage leaves alone, of a million rows."""
 PLAIN = r"[+-]?(?:\d[\d.,'\u00a0\u202f]*|[.,]\d+)(?:[eE][+-]?\d+)?"
 """Pattern of a number with any signs."""
-NUMBER_CELL = re.compile(rf"{PLAIN}\s*(?:[^\d\s.,;:/-][^\d,;:]{{0,15}}\d?)?")
-"""A number, also with a unit behind it, such as `21.3 °C`."""
+NUMBER_CELL = re.compile(rf"{PLAIN}\s*(?:[^\d\s.,;:/([-][^\d,;:([]{{0,15}}\d?|[([][^\d,;:()[\]]{{1,15}}[)\]])?")
+"""A number, also with a unit behind it, such as `21.3 °C`; `1TC (degC)` is the name of a channel."""
 CLOCK_CELL = re.compile(
-    r"'?(?:[A-Za-z]{3,9},? )?(?:\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3,9}\.?)[-/.]\d{1,4}.*|\d{1,3}(?: \d{1,2})?:\d{1,2}\b.*"
-    r"|\d{8}[T _]\d{4,6}.*|\d{1,2} [A-Za-z]{3,9} \d{4}.*|[A-Za-z]{3,9} \d{1,2},? \d{4}.*)"
+    r"'?(?:[A-Za-z]{3,9},? )?(?:\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3,9}\.?)[-/.]\d{1,4}.*"
+    r"|\d{1,3}(?: (?:days?,? )?\d{1,2})?:\d{1,2}\b.*|\d{8}[T _]\d{4,6}.*"
+    r"|\d{1,2} [A-Za-z]{3,9} \d{4}.*|[A-Za-z]{3,9} \d{1,2},? \d{4}.*)"
 )
 """What may be a date or a time of day."""
 SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
@@ -35,6 +36,8 @@ PROCESS = {"", "avg", "smp", "min", "max", "std", "tot", "sample", "ave", "avera
 """Words of a row that states how a logger reduced its samples."""
 NAME_WORDS = r"(?i)time|zeit|date|datum|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$|^t_|flux|plate"
 """Words by which a row is one of names."""
+COMMENT_SIGNS = ("#", "%")
+"""Signs that begin a line of comment, which may hold the names of the columns."""
 TRAILER_LINES = 30
 """Most lines behind the data that may be a summary."""
 SAMPLE_LINES = 4000
@@ -211,11 +214,9 @@ def rows_block(
         width -= 1
     names, units, names_line = _head(file, split, first, width, recorder, lines)
     sign_text = SEPARATORS.get(sign, f"`{sign}`") if sign else ""
-    remarks = [recorder, f"cells separated by {sign_text}" if sign_text else ""]
-    return Block(
-        path, tuple(names), tuple(units), tuple(columns), tuple(line for line, _ in body), sign, "", names_line,
-        ", ".join(filter(None, remarks)), tuple(notes),
-    )  # fmt: skip
+    about = ", ".join(filter(None, [recorder, f"cells separated by {sign_text}" if sign_text else ""]))
+    table = (tuple(names), tuple(units), tuple(columns), tuple(line for line, _ in body))
+    return Block(path, *table, sign, "", names_line, about, tuple(notes))
 
 
 def _body(file: str, split: Sequence[Row], first: int, last: int) -> tuple[list[Row], list[str]]:
@@ -254,7 +255,7 @@ def _shown(cells: Sequence[str]) -> str:
 
 
 def _is_comment(cells: Sequence[str]) -> bool:
-    return cells[0].startswith("#") and len(cells[0]) > 1
+    return cells[0].startswith(COMMENT_SIGNS) and len(cells[0]) > 1
 
 
 def _first_row(split: Sequence[Row], width: int, recorder: str) -> int | None:
@@ -313,7 +314,27 @@ def _head(
         return [f"column{k + 1}" for k in range(width)], none, 0
     if len(rows) > 1 and (_is_unit_row(rows[0][1]) or _are_names_above(rows)):
         return rows[1][1], [c.strip() for c in rows[0][1]], rows[1][0]
-    return rows[0][1], none, rows[0][0]
+    return _with_names_above(rows), _labelled_units(rows) or none, rows[0][0]
+
+
+def _with_names_above(rows: Sequence[tuple[int, list[str]]]) -> list[str]:
+    """Names of the row right above the data, and for its empty cells those of the nearest row that has them, such as
+    `Tag,,,wall,back` above `Date,Time,ms,,`; a row of units has none."""
+    names = list(rows[0][1])
+    for _, cells in rows[1:]:
+        if not _is_label_of_units(cells[0]):
+            names = [name or cell for name, cell in zip(names, cells, strict=True)]
+    return names
+
+
+def _labelled_units(rows: Sequence[tuple[int, list[str]]]) -> list[str]:
+    """Units of a row that begins with the word; empty where there is none above the data."""
+    units = next((cells[1:] for _, cells in rows[1:] if _is_label_of_units(cells[0])), None)
+    return [] if units is None else ["", *units]
+
+
+def _is_label_of_units(cell: str) -> bool:
+    return re.fullmatch(r"(?i)units?|einheit(en)?", cell.strip(":")) is not None
 
 
 def _rows_above(
@@ -346,12 +367,12 @@ def _head_cells(row: Row, width: int, lines: dict[int, str] | None) -> list[str]
     line, cells = row[0], _trimmed(list(row[1]))
     if len(cells) <= width <= len(row[1]):
         cells = _filled(cells, width)  # the separators are there, and the last cells empty
-    if cells[0].startswith("#") and len(cells) > 1 and len(cells[0]) > 1:
-        cells = [cells[0].lstrip("# "), *cells[1:]] if cells[0].lstrip("# ") else cells[1:]
-    elif cells[0] == "#" and len(cells) == width + 1:
+    if cells[0].startswith(COMMENT_SIGNS) and len(cells) > 1 and len(cells[0]) > 1:
+        cells = [cells[0].lstrip("#% "), *cells[1:]] if cells[0].lstrip("#% ") else cells[1:]
+    elif cells[0] in COMMENT_SIGNS and len(cells) == width + 1:
         cells = cells[1:]
     if len(cells) != width and lines is not None and line in lines:
-        wide = re.split(r"\t+|\s{2,}", lines[line].lstrip("# ").strip())
+        wide = re.split(r"\t+|\s{2,}", lines[line].lstrip("#% ").strip())
         cells = wide if len(wide) == width else cells
     return cells
 

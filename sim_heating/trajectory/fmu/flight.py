@@ -176,10 +176,9 @@ def fmu_problems(spec: TrajectorySpec, vehicle: VehicleData) -> Sequence[str]:
     return ()
 
 
-OBSERVED_COLUMNS = (
-    "altitude_m", "velocity_m_s", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "alpha_deg",
-    "rho_kg_m3", "drag_m_s2", "lift_m_s2", "net_gravity_m_s2",
-)  # fmt: skip
+_FORCES = ("drag_m_s2", "lift_m_s2", "net_gravity_m_s2")
+_DIRECTIONS = ("gamma_deg", "heading_deg", "latitude_deg", "longitude_deg", "alpha_deg")
+OBSERVED_COLUMNS = ("altitude_m", "velocity_m_s", *_DIRECTIONS, "rho_kg_m3", *_FORCES)
 """Columns that guidance needs; the altitude rate is V sin(gamma) where it is not available."""
 
 
@@ -227,10 +226,9 @@ class Pilot:
 def _observation(f: Frame, speed: float, mach: float) -> np.ndarray:
     climb = f.get("altitude_rate_m_s", speed * math.sin(math.radians(f["gamma_deg"])))
     qbar = 0.5 * f["rho_kg_m3"] * speed * speed
-    return np.array([
-        f["time_s"], f["altitude_m"], speed, mach, climb, f["drag_m_s2"], f["lift_m_s2"], f["net_gravity_m_s2"], qbar,
-        f["alpha_deg"], f["heading_deg"], f["latitude_deg"], f["longitude_deg"],
-    ])  # fmt: skip
+    forces = [f["drag_m_s2"], f["lift_m_s2"], f["net_gravity_m_s2"], qbar]
+    attitude = [f["alpha_deg"], f["heading_deg"], f["latitude_deg"], f["longitude_deg"]]
+    return np.array([f["time_s"], f["altitude_m"], speed, mach, climb, *forces, *attitude])
 
 
 class InputsOfFmu:

@@ -68,12 +68,11 @@ class ImagePacker:
         parameters: tuple[str, ...] = (),
     ) -> None:
         """Add a variable for a number at an offset of R."""
-        self.image.variables.append(
-            Variable(
-                name, Kind.NUMBER, role, offset, text, unit, lower, upper, nominal, depends=depends,
-                parameters=parameters,
-            )
-        )  # fmt: skip
+        limits = (lower, upper, nominal)
+        variable = Variable(
+            name, Kind.NUMBER, role, offset, text, unit, *limits, depends=depends, parameters=parameters
+        )
+        self.image.variables.append(variable)
 
     def add_array(
         self,

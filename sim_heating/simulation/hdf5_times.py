@@ -39,7 +39,7 @@ def without_times(data: bytes) -> bytes:
 def lookup3(key: bytes) -> int:
     """Jenkins' hash of bytes, 32 bits, with an initial value of 0.
 
-    >>> from sim_heating.base.report.hdf5_times import lookup3
+    >>> from sim_heating.simulation.hdf5_times import lookup3
     >>> hex(lookup3(b"Four score and seven years ago"))
     '0x17770551'
     """
