@@ -13,7 +13,8 @@ from sim_heating.closure.close import close_loop
 from sim_heating.closure.prior.changed_flight import shift_conditions
 from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
 from sim_heating.closure.report.record import closure_json
-from sim_heating.closure.search.hypothesis import NOT_PREDICTED, hypothesis, scored
+from sim_heating.closure.search.hypothesis import NOT_PREDICTED, fitted_anew, hypothesis, scored
+from sim_heating.closure.search.joint_search import with_common_flights
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.trials.told_error import told_error
 from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, with_own_error
@@ -21,6 +22,7 @@ from sim_heating.estimation.inference.error_likelihood import model_error
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import BY_CONFIDENCE, FlightUncertainty, HeatingUncertainty, load_record
+from tests.support.few_candidates import searched_among
 from tests.support.paths import ROOT
 
 RECORDS = ROOT / "scenarios" / "records"
@@ -126,6 +128,26 @@ def test_density_error_scatters_between_its_knots_as_at_them():
     assert np.max(np.diff(z)) <= flight.uncertainty.density_scale_m / 3.0
     np.testing.assert_allclose(np.linalg.norm(row, axis=1), sigma)
     assert np.min(np.linalg.norm(middle, axis=1)) > 0.9 * sigma
+
+
+@pytest.mark.thorough
+def test_points_of_a_flight_that_is_stated_too_well_share_one_wider_error():
+    """Two points of a flight that was four of its stated sigmas longer and in other air."""
+    record = with_flight_uncertainty(
+        load_record(RECORDS / "practice" / "p06"), time_shift_s=10.0, time_stretch=0.003, density_relative=0.03
+    )
+    flight = flight_error(record)
+    alone = []
+    for name in ("one", "other"):
+        stated = replace(flight.record(4.0 * np.ones(len(flight.directions))), label=name)
+        search = searched_among(stated, ("time-skew",))
+        none = fitted_anew(search.none, with_own_error(search.none.last))
+        conclusion = replace(search.conclusion, finding="none", best=none)
+        alone.append(replace(search, none=none, conclusion=conclusion))
+    assert all(r.none.last.size.likeliest[2] > 1.0 for r in alone)
+    parts = [base.record_fit for base in with_common_flights(alone)]
+    assert parts[0].model_error.flight_scale == parts[1].model_error.flight_scale > 1.0
+    assert parts[0].flight_names == parts[1].flight_names != ()
 
 
 def test_a_clock_that_is_stated_too_well_may_be_off_by_more():
