@@ -6,7 +6,7 @@ import re
 import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import TypeVar
 
 R = TypeVar("R")
@@ -65,12 +65,17 @@ class InputError(ValueError):
 
 
 @contextmanager
-def error_context(location: str) -> Iterator[None]:
-    """Prefix every problem that the block raises with its place: a file, table or option."""
+def reworded(reword: Callable[[str], str]) -> Iterator[None]:
+    """Word every problem that the block raises anew."""
     try:
         yield
     except InputError as error:
-        raise InputError(*(f"{location}: {problem}" for problem in error.problems)) from None
+        raise InputError(*map(reword, error.problems)) from None
+
+
+def error_context(location: str) -> AbstractContextManager[None]:
+    """Prefix every problem that the block raises with its place: a file, table or option."""
+    return reworded(lambda problem: f"{location}: {problem}")
 
 
 class RunError(RuntimeError):

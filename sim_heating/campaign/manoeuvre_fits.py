@@ -20,6 +20,7 @@ from sim_heating.closure.batch import program_digest
 from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO
 from sim_heating.estimation.fit import DEFAULT, FitResult, estimate, rms_normalised_residual
 from sim_heating.estimation.inference.newton import NewtonSettings
+from sim_heating.estimation.record_fit import StartMaker
 from sim_heating.estimation.report.report import estimate_contents, write_fit
 from sim_heating.estimation.starts import start_at
 from sim_heating.estimation.trend import LOST_INTERVALS
@@ -119,6 +120,12 @@ def run_fit(task: FitTask) -> bytes:
     return json.dumps({"row": fit_row(task, fitted), "results": results_digest(task.out)}).encode()
 
 
+def _starts(task: FitTask) -> list[StartMaker | None]:
+    """What gives the temperatures at the start of each record; None for the declared ones."""
+    starts = zip(task.starts, task.segments, strict=True)
+    return [None if kind == "declared" else start_at(kind, segment[0]) for kind, segment in starts]
+
+
 def fit_manoeuvre(task: FitTask, records: Sequence[Record]) -> FitResult:
     """The fit of one manoeuvre, with what closing the loop found.
 
@@ -128,21 +135,17 @@ def fit_manoeuvre(task: FitTask, records: Sequence[Record]) -> FitResult:
     values = {name: value for name, (value, _) in task.carried.items()}
     priors = {name: (value, sigma) for name, (value, sigma) in task.carried.items() if sigma > 0.0}
     stated = ManoeuvreSettings(**task.settings)
-    starts = [
-        None if kind == "declared" else start_at(kind, segment[0])
-        for kind, segment in zip(task.starts, task.segments, strict=True)
-    ]
+    starts = _starts(task)
     fixed = {**{name: value for name, value in values.items() if name not in priors}, **stated.fix}
     settings = NewtonSettings(first_values=values)
     while True:
-        free = [name for name in priors if name not in fixed]
-        priors_here = {**{name: priors[name] for name in free}, **stated.priors}
+        free = {name: prior for name, prior in priors.items() if name not in fixed}
         fitted = estimate(
             records,
             [*(stated.parameters or [DEFAULT]), *free],
             effects=effect_uses(values),
             fixed=fixed,
-            priors=priors_here,
+            priors={**free, **stated.priors},
             bounds=stated.bounds,
             ties=stated.tie,
             starts=starts,

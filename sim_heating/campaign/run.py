@@ -273,6 +273,14 @@ def _doubts(result: CampaignResult, carried: Mapping[tuple[str, str], Carried]) 
 # Fits -----------------------------------------------------------------------------------------------------------------
 
 
+def _segments_of(
+    result: CampaignResult, flights: Mapping[str, CampaignFlight], point: str, group: Group
+) -> list[tuple[CampaignFlight, Any, FittedSpan | str]]:
+    """Flights of a group with a record of a point: each with its manoeuvre and what is fitted, or why nothing is."""
+    flown = [(flights[name], m) for name, m in group.members if name in flights]
+    return [(f, m, _segment(result, f, m, point)) for f, m in flown if point in f.records]
+
+
 def _fit_singles(
     result: CampaignResult, carried: Mapping[tuple[str, str], Carried], engine: Engine, progress: Progress
 ) -> None:
@@ -281,10 +289,7 @@ def _fit_singles(
     flights = {f.name: f for f in result.fitted_flights}
     for point in result.points:
         for group in result.groups:
-            members = [
-                (flights[name], m) for name, m in group.members if name in flights and point in flights[name].records
-            ]
-            segments = [(f, m, _segment(result, f, m, point)) for f, m in members]
+            segments = _segments_of(result, flights, point, group)
             result.omitted.extend(f"{f.name}, {point}, {m.name}: {s}" for f, m, s in segments if isinstance(s, str))
             chosen = [(f, m, s) for f, m, s in segments if not isinstance(s, str)]
             if not chosen:
@@ -292,7 +297,6 @@ def _fit_singles(
             condition = joint_reference([f.records[point].with_fit([[s.begin_s, s.end_s]]) for f, _, s in chosen])
             reference = dict(zip(RATIO_VARIABLES, map(float, condition), strict=True))
             for f, m, span in chosen:
-                settings = result.campaign.settings(f.name, point, m)
                 record, known = f.records[point], carried.get((f.name, point), Carried()).estimates
                 task = FitTask(
                     point,
@@ -303,7 +307,7 @@ def _fit_singles(
                     segments=((span.begin_s, span.end_s),),
                     out=str(engine.out / FITS / f.name / point / m.name),
                     starts=(span.start,),
-                    settings=_as_data(settings),
+                    settings=_as_data(result.campaign.settings(f.name, point, m)),
                     reference=reference,
                     carried=known,
                     root=result.campaign.root,

@@ -148,21 +148,21 @@ def _predict_all(result: CampaignResult, revised: Vehicle, progress: Progress) -
         segment = [manoeuvre.start_s, manoeuvre.end_s] if row is None else row["segments"][0]
         if not record.read_mask[(record.time_s >= segment[0]) & (record.time_s <= segment[1])].any():
             continue
-        chosen = record.with_fit([segment])
-        start = None if row is None or "failed" in row else _start(result, row)
-        vehicles = {"before": result.campaign.vehicle, "after": revised}
+        chosen, fitted = record.with_fit([segment]), None if row is None or "failed" in row else row
+        start = None if fitted is None else _start(result, fitted)
+        errors: dict[str, float | None] = {}
+        for when, vehicle in {"before": result.campaign.vehicle, "after": revised}.items():
+            errors[f"{when}_K"] = rmse_with_tables_K(chosen, vehicle)
+            errors[f"{when}_from_start_K"] = None if start is None else rmse_with_tables_K(chosen, vehicle, start)
+        keys = ("before_K", "after_K", "before_from_start_K", "after_from_start_K")
         result.errors.append(
             {
                 "flight": flight.name,
                 "control_point": point,
                 "manoeuvre": manoeuvre.name,
                 "check": flight.name in result.checks,
-                **{f"{when}_K": rmse_with_tables_K(chosen, v) for when, v in vehicles.items()},
-                **{
-                    f"{when}_from_start_K": None if start is None else rmse_with_tables_K(chosen, v, start)
-                    for when, v in vehicles.items()
-                },
-                "fit_K": None if row is None or "failed" in row else row["rmse_K"],
+                **{key: errors[key] for key in keys},
+                "fit_K": None if fitted is None else fitted["rmse_K"],
                 "noise_floor_K": chosen.noise_floor_K(),
             }
         )

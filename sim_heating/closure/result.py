@@ -520,14 +520,15 @@ class JointClosure:
                 )
             elif e.verdict == "other values":
                 lines.append(f"{e.record} gives other values than those in common (p = {e.agreement:.1g})")
-        for name, level in best.model.levels.items():
-            estimates = {k: p for k, p in self.parameters.items() if k.partition(AT)[0] == name and AT in k}
-            if len(estimates) > 1 and level != best.model.cause.widest[name]:
-                values = ", ".join(
-                    f"{p.value:.4g} +- {p.sigma:.2g} in {k.partition(AT)[2]}" for k, p in estimates.items()
-                )
-                lines.append(f"{name.rpartition('.')[2]} is not in common: {values}")
-        return lines
+        widest = best.model.cause.widest
+        narrower = [name for name, level in best.model.levels.items() if level != widest[name]]
+        return lines + [line for name in narrower if (line := self._values_apart(name))]
+
+    def _values_apart(self, name: str) -> str:
+        """The values of a parameter that several records or points have each for itself; empty for a common one."""
+        estimates = {k: p for k, p in self.parameters.items() if k.partition(AT)[0] == name and AT in k}
+        values = ", ".join(f"{p.value:.4g} +- {p.sigma:.2g} in {k.partition(AT)[2]}" for k, p in estimates.items())
+        return f"{name.rpartition('.')[2]} is not in common: {values}" if len(estimates) > 1 else ""
 
     def _not_tried_in_common(self) -> list[str]:
         """What explains a record by itself and was not fitted to all, as the flux of a lamp, a line each."""

@@ -76,9 +76,9 @@ def closure_of(
     before, (residual, residual_after) = result.before, residuals
     estimated = estimates_of(fitted.problem, fitted.fit, fitted.bounds.sigma)
     not_effects = _not_effects(result)
-    faults = [fault for fault in [start_fault(result.record)] if fault is not None]
-    faults += [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
-    faults += [fault for fault in [magnitude_fault(fitted.problem, fitted.fit.values)] if fault is not None]
+    of_trajectory = [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
+    of_magnitude = magnitude_fault(fitted.problem, fitted.fit.values)
+    faults = [f for f in (start_fault(result.record), *of_trajectory, of_magnitude) if f is not None]
     return Closure(
         record=result.record,
         predicted=None if result.record.lacks_ratio else before.before[0],
@@ -113,7 +113,7 @@ def closure_of(
         false_alarm=false_alarm_statement() if is_exact(result.none.last) else "",
         warnings=[
             *notes,
-            *(line for line in fitted.warnings if line not in [*notes, *(f.message for f in faults)]),
+            *(line for line in fitted.warnings if line not in {*notes, *(f.message for f in faults)}),
             *_forms(result),
             *_residual_warning(result, residual_after),
         ],

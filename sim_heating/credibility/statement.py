@@ -296,9 +296,10 @@ def _some(names: Sequence[str], most: int = 4) -> str:
 
 def _verification_findings(facts: Facts, evidence: Evidence) -> dict[str, Answer]:
     topics = evidence.topics
-    core = [t for t in CORE if t in topics and topics[t].verified]
-    rows = sum(topics[t].rows for t in facts.topics if t in topics)
-    uncovered = [t for t in sorted(facts.topics) if t not in topics or not topics[t].verified]
+    verified = {name for name, topic in topics.items() if topic.verified}
+    core = [t for t in CORE if t in verified]
+    rows = sum(topics[t].rows for t in facts.topics & topics.keys())
+    uncovered = sorted(facts.topics - verified)
     error = facts.mesh_error_K
     error_text = (
         "the numerical error was not estimated" if error is None else f"estimated error of the mesh {error:.2g} K"
@@ -350,16 +351,13 @@ def _uncertainty_findings(facts: Facts, evidence: Evidence) -> dict[str, Answer]
     claims = [c for c in evidence.claims if c.of == facts.kind]
     unmet = [c.claim for c in claims if not c.met]
     text = f"not met: {'; '.join(unmet)}" if unmet else "; ".join(f"{c.claim}: {c.value:.3g}" for c in claims)
+    declared = "the heating has a standard deviation" if facts.sigma else "the heating has no sigma"
+    stated = "no standard deviation of the main quantity"
+    if u is not None:
+        stated = f"{u.quantity}: sigma {u.sigma:.3g} {u.unit}".rstrip()
     return {
-        "uncertainty.declared": Answer(
-            facts.sigma, "the heating has a standard deviation" if facts.sigma else "the heating has no sigma"
-        ),
-        "uncertainty.stated": Answer(
-            u is not None,
-            "no standard deviation of the main quantity"
-            if u is None
-            else f"{u.quantity}: sigma {u.sigma:.3g} {u.unit}".rstrip(),
-        ),
+        "uncertainty.declared": Answer(facts.sigma, declared),
+        "uncertainty.stated": Answer(u is not None, stated),
         "uncertainty.counted": Answer(
             bool(claims) and not unmet, text or f"bounds of a {facts.kind} were not counted against known truths"
         ),

@@ -405,16 +405,23 @@ def _cleaned(records: Sequence[Record], progress: Progress) -> tuple[list[Record
     returns : the records, their outliers, and lines on what was left out and averaged
     """
     check_joint_records(records)
-    checked = [without_stuck_sensors(record) for record in records]
-    cleaned = [without_outliers(record) for record, _ in checked]
-    fewer = [averaged_record(record) for record, _ in cleaned]
-    outliers = [outlier for _, of_record in cleaned for outlier in of_record]
-    averaged = [line for _, lines in fewer for line in lines]
+    stuck: list[str] = []
+    outliers: list[Outlier] = []
+    averaged: list[str] = []
+    cleaned, fewer = [], []
+    for record in records:
+        used, lines = without_stuck_sensors(record)
+        stuck += lines
+        used, of_record = without_outliers(used)
+        outliers += of_record
+        cleaned.append(used)
+        used, lines = averaged_record(used)
+        averaged += lines
+        fewer.append(used)
     for line in averaged:
         progress(0.0, line)
-    stuck = [line for _, lines in checked for line in lines]
-    notes = [*averaged, *stuck, *outlier_lines(outliers, {record.name: record for record, _ in cleaned})]
-    return [record for record, _ in fewer], outliers, notes
+    notes = [*averaged, *stuck, *outlier_lines(outliers, {record.name: record for record in cleaned})]
+    return fewer, outliers, notes
 
 
 def _informed_problem(
@@ -509,6 +516,17 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
     return replace(_fit_result(problem, fit, dict(reasons or {}), notes, None), outliers=tuple(outliers))
 
 
+def _reasons_to_omit(label: str, covered: Sequence[Record], *, is_tied: bool, is_chosen: bool) -> dict[str, str]:
+    """Why a parameter is left out before any march, by its label; empty where it is estimated.
+
+    covered : records that it is of
+    """
+    # of tied ones the value is that of where the variable changes
+    reasons = {} if is_tied else constant_variables([label], covered)
+    reasons |= parameters_without_heating([label], covered)
+    return reasons if is_chosen else unsupported_derivatives([label], covered) | reasons
+
+
 def _labels_to_estimate(
     names: Sequence[str] | None, records: Sequence[Record], options: FitOptions
 ) -> tuple[list[str], dict[str, str], frozenset[str]]:
@@ -520,23 +538,17 @@ def _labels_to_estimate(
     owners, fixed = Owners(records), options.fixed or {}
     fixed_labels = owners.labels(fixed)
     named = [n for n in names or () if n != DEFAULT]
-    both = next((n for n in named if n in fixed or n.partition(AT)[0] in fixed), None)
-    if both is not None:
-        raise InputError(f"{both}: is fixed, and named to be estimated; do one of the two")
+    for name in named:
+        if not {name, name.partition(AT)[0]}.isdisjoint(fixed):
+            raise InputError(f"{name}: is fixed, and named to be estimated; do one of the two")
     by_default = _default_labels(names, owners)
     labels = [n for n in dict.fromkeys((*by_default, *owners.labels(named))) if n not in fixed_labels]
     require_estimated(options, owners, labels)
-    tied = {label for tie in options.ties for label in owners.labels(tie)}
+    tied = set().union(*map(owners.labels, options.ties))
     chosen = {*owners.labels((*named, *options.normal_priors, *(options.bounds or {}))), *tied}
     omitted = {n: _fixed_at(n, owners, fixed) for n in by_default if n in fixed_labels}
     for label in labels:
-        covered, reasons = owners.covered(label), {}
-        if label not in tied:  # of tied ones the value is that of where the variable changes
-            reasons = constant_variables([label], covered)
-        reasons |= parameters_without_heating([label], covered)
-        if label not in chosen:
-            reasons = unsupported_derivatives([label], covered) | reasons
-        omitted |= reasons
+        omitted |= _reasons_to_omit(label, owners.covered(label), is_tied=label in tied, is_chosen=label in chosen)
     thermal = frozenset(n for n in by_default if not n.startswith("ratio.")) - chosen
     return labels, omitted, thermal
 

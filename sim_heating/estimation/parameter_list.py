@@ -493,19 +493,18 @@ def _rows(listed: Sequence[ListedParameter], judged: bool) -> tuple[list[Column]
         Column("prior", is_text=True),
         Column("bounds", is_text=True),
     ]
-    rows: list[list[Any]] = [[p.name, _nominal(p), _prior(p), _bounds(p)] for p in listed]
+
+    def stated(p: ListedParameter) -> list[Any]:
+        return [p.name, _nominal(p), _prior(p), _bounds(p)]
+
     if not judged:
-        return [*columns, Column("meaning", is_text=True)], [
-            [*row, p.text] for row, p in zip(rows, listed, strict=True)
-        ]
+        return [*columns, Column("meaning", is_text=True)], [[*stated(p), p.text] for p in listed]
     columns += [Column("sigma", format=".2g"), Column("identified", is_text=True), Column("remark", is_text=True)]
     reasons = {(p.identified, p.reason) for p in listed}
     if len(listed) > 1 and len(reasons) == 1 and listed[0].reason and not any(p.confounded_with for p in listed):
         ends = f"{listed[0].name} to {listed[-1].name}, all {len(listed)}"  # each would have the same line
         return columns, [[ends, "", "", "", None, listed[0].identified, listed[0].reason]]
-    return columns, [
-        [*row, _finite(p.sigma_with_heating), p.identified, _remark(p)] for row, p in zip(rows, listed, strict=True)
-    ]
+    return columns, [[*stated(p), _finite(p.sigma_with_heating), p.identified, _remark(p)] for p in listed]
 
 
 def _remark(p: ListedParameter) -> str:

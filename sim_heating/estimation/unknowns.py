@@ -193,13 +193,7 @@ class StatedParameters:
         bounds = self.owners.stated(self.options.bounds or {}, record).get(name)
         limits = f"its limits {parameter.lower:g} to {parameter.upper:g}"
         if prior is not None:
-            mean, sigma = prior
-            if not sigma > 0.0:
-                raise InputError(f"{label}: prior {mean:g} +- {sigma:g}; give a sigma above 0")
-            mean = parameter.value if np.isinf(sigma) else mean  # a flat prior has none: the search begins as declared
-            if not parameter.lower <= mean <= parameter.upper:
-                raise InputError(f"{label}: the mean of its prior, {mean:g}, is outside {limits}")
-            parameter = replace(parameter, value=mean, sigma=sigma)
+            parameter = _with_prior(parameter, label, *prior)
         if bounds is None:
             return parameter
         lower, upper = bounds
@@ -250,6 +244,20 @@ def require_estimated(options: FitOptions, owners: Owners, labels: Sequence[str]
         if not set(owners.labels([name])) & set(labels):
             hint = suggestion(name, labels, otherwise="; name it among the parameters")
             raise InputError(f"`{name}`: is not estimated{hint}")
+
+
+def _with_prior(parameter: Parameter, label: str, mean: float, sigma: float) -> Parameter:
+    """A parameter with the normal prior that is stated for it.
+
+    raises : InputError where sigma is not above 0, or the mean is outside the limits of the parameter
+    """
+    if not sigma > 0.0:
+        raise InputError(f"{label}: prior {mean:g} +- {sigma:g}; give a sigma above 0")
+    mean = parameter.value if np.isinf(sigma) else mean  # a flat prior has none: the search begins as declared
+    if not parameter.lower <= mean <= parameter.upper:
+        limits = f"its limits {parameter.lower:g} to {parameter.upper:g}"
+        raise InputError(f"{label}: the mean of its prior, {mean:g}, is outside {limits}")
+    return replace(parameter, value=mean, sigma=sigma)
 
 
 def without_action(names: Sequence[str], record: Record, model: PointModel) -> dict[str, str]:

@@ -921,14 +921,13 @@ def _array_problems(measured: Mapping[str, FloatArray], declared: RecordFile, wh
     missing = [n for n in ("time_s", *(s.column for s in declared.thermocouples.sensor)) if n not in measured]
     if missing:
         return [f"{where}: there is no column `{name}`; add it" for name in missing]
-    shape = measured["time_s"].shape
-    odd = [name for name, values in measured.items() if values.shape != shape or len(shape) != 1 or shape == (0,)]
+    time = measured["time_s"]
+    is_row = time.ndim == 1 and time.size > 0
+    odd = [name for name, values in measured.items() if not is_row or values.shape != time.shape]
     bad = [name for name, values in measured.items() if np.any(np.isinf(values))]
-    bad += ["time_s"] if np.any(np.isnan(measured["time_s"])) else []
-    return [
-        *(f"{where}, column {name}: needs one value a sample, and at least one sample" for name in odd),
-        *(f"{where}, column {name}: contains a value that is not a finite number" for name in bad),
-    ]
+    bad += ["time_s"] * bool(np.any(np.isnan(time)))
+    problems = [f"{where}, column {name}: needs one value a sample, and at least one sample" for name in odd]
+    return problems + [f"{where}, column {name}: contains a value that is not a finite number" for name in bad]
 
 
 def _as_table(columns: Mapping[str, FloatArray], path: Path) -> CsvTable:

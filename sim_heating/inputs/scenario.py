@@ -481,24 +481,31 @@ def with_design(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     return replace(scenario, declared=scenario.declared.model_copy(update={"design": design}))
 
 
+def _named_points(declared: ScenarioFile) -> list[str]:
+    """Control points that a scenario names, anywhere."""
+    points = [*(declared.control_points or []), *(c.control_point for c in declared.compare)]
+    if declared.design is not None and declared.design.control_point:
+        points.append(declared.design.control_point)
+    return points + [p for e in (*declared.effect, *declared.truth.effect) for p in e.control_points or []]
+
+
+def _fault_problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
+    """Faults of sensors that the vehicle does not have."""
+    sensors = {s.name for p in vehicle.control_points.values() for s in p.sensors}
+    unknown = [f.sensor for f in declared.measurements.fault if f.sensor not in sensors]
+    return [f"[measurements], fault: unknown sensor `{n}`{suggestion(n, sensors, cutoff=0.0)}" for n in unknown]
+
+
 def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
     """Unknown control points, effects and sensors, and other contradictions between a scenario and its vehicle."""
-    points = [*(declared.control_points or []), *(c.control_point for c in declared.compare)]
-    points += [declared.design.control_point] if declared.design and declared.design.control_point else []
     uses = [*declared.effect, *declared.truth.effect]
-    points += [p for e in uses for p in e.control_points or []]
-    sensors = {s.name for p in vehicle.control_points.values() for s in p.sensors}
     return [
-        *_collect_problems(lambda name: vehicle.control_point(name), points),
+        *_collect_problems(lambda name: vehicle.control_point(name), _named_points(declared)),
         *_collect_problems(_checked_use, uses),
         *_left_out_problems(declared),
         *_inert_problems(declared, vehicle),
         *_idle_back(declared, vehicle),
-        *(
-            f"[measurements], fault: unknown sensor `{f.sensor}`{suggestion(f.sensor, sensors, cutoff=0.0)}"
-            for f in declared.measurements.fault
-            if f.sensor not in sensors
-        ),
+        *_fault_problems(declared, vehicle),
         *_repeated_labels(declared.compare),
         *(["control_points: the list is empty; omit it for all"] if declared.control_points == [] else []),
         *_selection_problems(declared, vehicle),
@@ -554,10 +561,11 @@ def _idle_back(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
 def _lacking(effect: ScenarioEffect, flow: EdgeFlow) -> Iterator[str]:
     """Declarations that an effect reads the flow at a point by, and that the point does not have."""
     requested = {name for name, value in effect.parameters.items() if value > 0.0}
-    if effect.name == TRANSITION and "by_table" in requested and flow.turbulent is None:
-        yield "[transition] with `ratio_table_turbulent` (by_table = 1)"
-    if effect.name == TRANSITION and "by_re_theta" in requested and not flow.re_theta:
-        yield "[transition] with `re_theta_over_m_e` (by_re_theta = 1)"
+    if effect.name == TRANSITION:
+        if "by_table" in requested and flow.turbulent is None:
+            yield "[transition] with `ratio_table_turbulent` (by_table = 1)"
+        if "by_re_theta" in requested and not flow.re_theta:
+            yield "[transition] with `re_theta_over_m_e` (by_re_theta = 1)"
     if effect.name == RECOMBINATION and flow.atoms == "none":
         yield "[catalysis]"
 

@@ -555,17 +555,18 @@ def _points(declared: LinkFile, sensors_of: Mapping[str, tuple[Sensor, ...]], fi
 
 def _columns(declared: LinkFile, vehicle: Vehicle | None, records: Mapping[str, Record]) -> tuple[str, ...]:
     """Columns of flight conditions that a frame needs: those of a host for a vehicle, those of the records else."""
+    spared = {"time_s"}
     if vehicle is not None:
-        spared = ("time_s", "jets", *(s for s in SURFACES if s not in vehicle.surfaces))
-        needed = [name for name in FRAME if name not in spared]
+        needed: tuple[str, ...] = FRAME
+        spared |= {"jets", *SURFACES} - {*vehicle.surfaces}
     else:
         first = next(iter(records.values()))
-        needed = [name for name in first.conditions.names if name != "time_s"]
+        needed = first.conditions.names
         if first.declared.heating.reference == "none":  # a wall at rest: what is not sent is as it was at the start
-            needed = [n for n in needed if n in declared.conditions or n in DRIVING]
-    if "q_Pa" in declared.conditions and "rho_kg_m3" not in declared.conditions:  # the density follows from it
-        needed = [n for n in needed if n != "rho_kg_m3"]
-    return tuple(dict.fromkeys([*needed, *declared.conditions]))
+            spared |= {*needed} - {*declared.conditions, *DRIVING}
+    if "q_Pa" in declared.conditions:  # the density follows from it
+        spared |= {"rho_kg_m3"} - {*declared.conditions}
+    return tuple(dict.fromkeys([*(name for name in needed if name not in spared), *declared.conditions]))
 
 
 def _apart(records: Sequence[Record], file: Path) -> list[str]:

@@ -188,7 +188,7 @@ class State:
 
 def plain(value: Any) -> Any:
     """A value as JSON has it: dataclasses as objects, arrays as lists, a number that is not finite as None."""
-    if value is None or isinstance(value, (str, bool, int)):
+    if isinstance(value, (str, bool, int, type(None))):
         return value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None

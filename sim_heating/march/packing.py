@@ -121,8 +121,8 @@ class PointWriter:
         offsets, uses, ratio = self.memory.offsets[i], kernel_effects(model), model.ratio
         J = self.memory.integers(offsets.group)
         modes = [u.effect.mode for u in uses]
-        lagging = [k for k, u in enumerate(uses) if u.effect.lags]
-        turning = [k for k, u in enumerate(uses) if u.effect.name == TRANSITION]
+        lagging = next((k for k, u in enumerate(uses) if u.effect.lags), block.NONE)
+        turning = next((k for k, u in enumerate(uses) if u.effect.name == TRANSITION), block.NONE)
         on_ratio = len(uses) - modes.count("emittance")
         table = block.NO_TABLE if ratio is None else self.tables.place(("ratio", id(ratio)), lambda: pack_table(ratio))
         for row, value in (
@@ -131,8 +131,8 @@ class PointWriter:
             (block.N_EMITTING, modes.count("emittance")),
             (block.N_EFFECTS, on_ratio),
             (block.FIRST_AT_WALL, _first_at_wall([u.effect for u in uses[:on_ratio]])),
-            (block.LAG_SLOT, lagging[0] if lagging else block.NONE),
-            (block.TRANSITION_SLOT, turning[0] if turning else block.NONE),
+            (block.LAG_SLOT, lagging),
+            (block.TRANSITION_SLOT, turning),
         ):
             J[row + offsets.lane : row + offsets.end] = value
         for lane in range(offsets.lane, offsets.end):

@@ -446,9 +446,8 @@ def _values(frame: FloatArray | Mapping[str, float], spared: Sequence[str] = ("j
         if frame.shape != _SHAPE or frame.dtype != _DTYPE:
             raise InputError(f"plug-in: a frame is {len(FRAME)} float64 values: {', '.join(FRAME)}")
         return frame
-    unknown = [name for name in frame if name not in FRAME]
-    missing = [name for name in FRAME if name not in frame and name not in spared]
-    if unknown or missing:
-        problem = f"unknown `{unknown[0]}`" if unknown else f"`{missing[0]}` is missing"
-        raise InputError(f"plug-in: {problem}; a frame has {', '.join(FRAME)}")
+    problems = [f"unknown `{name}`" for name in frame if name not in FRAME]
+    problems += [f"`{name}` is missing" for name in FRAME if name not in {*frame, *spared}]
+    if problems:
+        raise InputError(f"plug-in: {problems[0]}; a frame has {', '.join(FRAME)}")
     return np.array([float(frame.get(name, 0.0)) for name in FRAME])

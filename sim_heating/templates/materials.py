@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -65,6 +66,15 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", text)
 
 
+def _alike(plain_name: str, library: Iterable[str]) -> list[str]:
+    """Materials of this name, else those whose names begin with it, else the alloys of this number, as AISI 304."""
+    plain = {name: _plain(name) for name in library}
+    beginning = [name for name, text in plain.items() if plain_name and text.startswith(plain_name)]
+    exact = [name for name in beginning if plain[name] == plain_name]
+    is_number = re.fullmatch(r"\d{3,}", plain_name) is not None
+    return exact or beginning or [name for name, text in plain.items() if is_number and text.endswith(plain_name)]
+
+
 def find_material(name: str) -> tuple[str, Material]:
     """Name and properties of the material that a person means: by its name in the library, loosely, or by a file.
 
@@ -76,10 +86,7 @@ def find_material(name: str) -> tuple[str, Material]:
         return re.sub(r"[^A-Za-z0-9_-]", "-", path.stem), read_toml(path, Material)
     library = material_library()
     plain_name = _plain(name)
-    exact = [candidate for candidate in library if _plain(candidate) == plain_name]
-    names = exact or [candidate for candidate in library if plain_name and _plain(candidate).startswith(plain_name)]
-    if not names and re.fullmatch(r"\d{3,}", plain_name):  # a number of an alloy: AISI 304
-        names = [candidate for candidate in library if _plain(candidate).endswith(plain_name)]
+    names = _alike(plain_name, library)
     if len(names) == 1:
         return names[0], library[names[0]]
     if names:

@@ -26,8 +26,8 @@ from sim_heating.base.files.text import and_more_rows
 from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
-from sim_heating.templates.loggers.block import Block
-from sim_heating.templates.loggers.clocks import (
+from sim_heating.heating.recorded.cells.block import Block
+from sim_heating.heating.recorded.cells.clocks import (
     ANY_ORDER,
     CLOCKS,
     LONGEST_STEP_S,
@@ -38,12 +38,12 @@ from sim_heating.templates.loggers.clocks import (
     over_midnight,
     with_colons,
 )
+from sim_heating.heating.recorded.cells.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
+from sim_heating.heating.recorded.cells.text import decoded, is_clock, is_number, rows_block, text_block
 from sim_heating.templates.loggers.files import json_block, kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
 from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
-from sim_heating.templates.loggers.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
 from sim_heating.templates.loggers.readings import OPEN, far_off, fault_codes, lost_codes
-from sim_heating.templates.loggers.text import decoded, is_clock, is_number, rows_block, text_block
 from sim_heating.templates.loggers.thermocouples import EXAMPLE as THERMOCOUPLE_EXAMPLE
 from sim_heating.templates.loggers.thermocouples import EmfColumn, is_emf, temperatures_K
 from sim_heating.templates.quantities import quantity
@@ -190,7 +190,8 @@ class _Head:
     @property
     def unit(self) -> str:
         """Unit that is stated, else that of the cells."""
-        return self.stated or self.numbers.unit
+        is_remark = re.fullmatch(REMARK, self.stated.strip()) is not None  # `Avg` says how a sample was reduced
+        return (self.numbers.unit if is_remark else self.stated) or self.numbers.unit or self.stated
 
 
 def read_measured_csv(
@@ -311,7 +312,7 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
     kind = kind_of_file(path)
     if not kind:
         text = decoded(path)
-        if text.lstrip().startswith("{"):
+        if re.match(r"\s*(\{|\[\s*\{)", text):
             return json_block(path, text)
         return lvm_block(path, text, chosen.sheet) if is_lvm(text) else text_block(path, text, chosen.separator)
     table = read_table(path, kind, chosen.sheet)
@@ -438,8 +439,24 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
         cells = block.column(k)
         may_be_clock = k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))
         clock = _clock_of_column(block, k, names, unit, chosen) if may_be_clock else None
-        heads.append(_Head(name, unit, numbers_of(cells, signs), clock, cells))
+        head = _Head(name, unit, numbers_of(cells, signs), clock, cells)
+        _require_one_unit(block, head)
+        heads.append(head)
     return heads, signs
+
+
+def _require_one_unit(block: Block, head: _Head) -> None:
+    """Refuse a column whose name states another unit than its cells.
+
+    raises : InputError with the first such cell
+    """
+    named = {si: converted(head.stated, si) for si in SI_UNITS.values()}
+    if not head.numbers.unit or not any(named.values()):
+        return  # `Avg` is no unit
+    if named != {si: converted(head.numbers.unit, si) for si in SI_UNITS.values()}:
+        i = next(i for i, c in enumerate(head.cells) if c)
+        rule = f"has another unit than the name of the column, `{head.stated}`; write one unit"
+        raise InputError(f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` {rule}")
 
 
 def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
@@ -705,14 +722,16 @@ def _time(
         read = _number_time if by_name[column.name].clock is None else _clock_time
         return read(block, by_name[column.name], column, chosen)
     first = columns[0]
-    if not called and not block.has_names and _says_nothing(first) and np.all(np.diff(first.values) > 0.0):
+    if not called and not block.has_names and _may_be_time(first):
         assumed = replace(first, kind=TIME, reason="no column is called time; this one increases")
         return _number_time(block, by_name[first.name], assumed, chosen)
     raise _no_time(block, by_name[called[0].name] if called else None)
 
 
-def _says_nothing(column: CsvColumn) -> bool:
-    return column.kind == UNUSED and column.reason.startswith("name and unit")
+def _may_be_time(column: CsvColumn) -> bool:
+    """Whether a column of which nothing is known increases from row to row."""
+    says_nothing = column.kind == UNUSED and column.reason.startswith("name and unit")
+    return says_nothing and bool(np.all(np.diff(column.values) > 0.0))
 
 
 def _no_time(block: Block, called: _Head | None) -> InputError:

@@ -11,8 +11,9 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import STATE
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, reworded
 from sim_heating.base.files import (
     COLDEST_K,
     celsius_rule,
@@ -528,15 +529,9 @@ KEYS = {
 """Key of [heating] -> the option that states it."""
 
 
-@contextmanager
-def said_of_options(out: str | os.PathLike[str]) -> Iterator[None]:
+def said_of_options(out: str | os.PathLike[str]) -> AbstractContextManager[None]:
     """Errors about a declaration that was made from options, which is not there afterwards, with their names."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(
-            *(_of_option(line, display_path(Path(out) / DECLARATION)) for line in error.problems)
-        ) from None
+    return reworded(partial(_of_option, declaration=display_path(Path(out) / DECLARATION)))
 
 
 def _of_option(line: str, declaration: str) -> str:

@@ -291,6 +291,55 @@ def write_new_study(
     return _write(out, {STUDY: render_toml(f"study_{kind}.toml.j2", "study", **values)}, check)
 
 
+EFFECT_MODES: Mapping[str, Mapping[str, Any]] = {
+    "multiply": {
+        "size": "rise",
+        "size_text": "relative rise of the heating ratio",
+        "formula": "1 + rise exp(-u^2 / 2)",
+        "acts": "multiplies the heating ratio",
+        "scatter": 0.3,
+        "least": -0.5,
+        "most": 5.0,
+        "truth": 0.25,
+    },
+    "add": {
+        "size": "rise",
+        "size_text": "what is added to the heating ratio",
+        "formula": "rise exp(-u^2 / 2)",
+        "acts": "is added to the heating ratio",
+        "scatter": 0.3,
+        "least": -0.5,
+        "most": 5.0,
+        "truth": 0.1,
+    },
+    "emittance": {
+        "size": "change",
+        "size_text": "relative change of the emittance",
+        "formula": "1 + change exp(-u^2 / 2)",
+        "acts": "multiplies the emittance",
+        "scatter": 0.1,
+        "least": -0.5,
+        "most": 0.5,
+        "truth": -0.2,
+    },
+}
+"""What the files of a new effect say of its size, by its mode: its name, prior and bounds [-], and its true value."""
+
+
+def _of_variable(variable: str) -> dict[str, Any]:
+    """What the files of a new effect say of its variable."""
+    unit, centre, width, lower, upper = VARIABLES[variable]
+    return {
+        "unit": unit,
+        "centre": centre,
+        "width": width,
+        "lower": lower,
+        "upper": upper,
+        "spread": (upper - lower) / 4.0,
+        "read": "wall_K" if variable == "wall_K" else f"B[c + flight.{variable}]",
+    }
+
+
 def write_new_effect(
     out: str | os.PathLike[str],
     name: str,
@@ -330,26 +379,20 @@ def write_new_effect(
         raise InputError(
             f"--variable {variable}: {flown.name} has no such control surface; name another variable or --vehicle"
         )
-    unit, centre, width, lower, upper = VARIABLES[variable]
-    size = "rise" if mode != "emittance" else "change"
     values: dict[str, Any] = {
-        "name": name, "module": module, "title": name.replace("-", " ").capitalize(), "mode": mode,
-        "variable": variable, "size": size, "unit": unit, "centre": centre, "width": width,
-        "lower": lower, "upper": upper,
-        "spread": (upper - lower) / 4.0,
-        "scatter": 0.3 if mode != "emittance" else 0.1,
-        "least": -0.5, "most": 5.0 if mode != "emittance" else 0.5,
-        "size_text": {"multiply": "relative rise of the heating ratio", "add": "what is added to the heating ratio",
-                      "emittance": "relative change of the emittance"}[mode],
-        "formula": f"{'' if mode == 'add' else '1 + '}{size} exp(-u^2 / 2)",
-        "acts": {"multiply": "multiplies the heating ratio", "add": "is added to the heating ratio",
-                 "emittance": "multiplies the emittance"}[mode],
-        "read": "wall_K" if variable == "wall_K" else f"B[c + flight.{variable}]",
-        "folder": folder.as_posix(), "vehicle": shown_place(vehicle, folder), "point": point,
+        "name": name,
+        "module": module,
+        "title": name.replace("-", " ").capitalize(),
+        "mode": mode,
+        **EFFECT_MODES[mode],
+        "variable": variable,
+        **_of_variable(variable),
+        "folder": folder.as_posix(),
+        "vehicle": shown_place(vehicle, folder),
+        "point": point,
         "manoeuvre": _manoeuvre(variable, vehicle),
         "gamma_deg": entry_angle_deg(flown),
-        "truth": {"multiply": 0.25, "add": 0.1, "emittance": -0.2}[mode],
-    }  # fmt: skip
+    }
     values |= _on_practice_flight(folder, values, point, root)
     files = {
         f"{module}.py": render("effect.py.j2", **values),

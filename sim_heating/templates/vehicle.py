@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -135,6 +136,16 @@ def _limits(point: Mapping[str, Any]) -> str:
     return f"{surface}, {point['bondline_K']:g} K at the outer face of {point['layers'][-1].name} (bondline)"
 
 
+def _move_files(source: Path, target: Path) -> None:
+    """Move all files below a directory to another one, and remove it."""
+    for path in sorted(source.rglob("*")):
+        if path.is_file():
+            moved = target / path.relative_to(source)
+            moved.parent.mkdir(parents=True, exist_ok=True)
+            path.rename(moved)
+    shutil.rmtree(source)
+
+
 def write_new_vehicle(out: str | os.PathLike[str], design: VehicleInput) -> tuple[Vehicle, list[str]]:
     """Write a vehicle directory, named as the vehicle, and check it as a whole; its ratio tables are built.
 
@@ -173,14 +184,7 @@ def write_new_vehicle(out: str | os.PathLike[str], design: VehicleInput) -> tupl
         with shown_at(unfinished, out):
             write_tables(unfinished, root=unfinished)
             check_vehicle(load_vehicle(unfinished, root=unfinished))
-        for path in sorted(unfinished.rglob("*")):
-            if path.is_file():
-                target = folder / path.relative_to(unfinished)
-                target.parent.mkdir(parents=True, exist_ok=True)
-                path.rename(target)
-        for path in sorted((p for p in unfinished.rglob("*") if p.is_dir()), reverse=True):
-            path.rmdir()
-        unfinished.rmdir()
+        _move_files(unfinished, folder)
     notes = [
         f"{p['name']}: {p['ratio_source']}; {_limits(p)}; thermocouple {p['sensor_place']}" for p in values["points"]
     ]

@@ -149,6 +149,16 @@ class PressureTable(Declared):
         return self
 
 
+def _conductivity_remark(rho_kg_m3: float, least: float, most: float) -> str:
+    """What is unusual about conductivities [W/(m K)] of a cool material at its density; empty where nothing is."""
+    at, highest = f"is unusual at {rho_kg_m3:g} kg/m3", LIGHT_MOST_W_MK[0] + LIGHT_MOST_W_MK[1] * rho_kg_m3
+    if rho_kg_m3 >= DENSE_KG_M3 and least < DENSE_LEAST_W_MK:
+        return f"{least:.3g} W/(m K) {at} ({DENSE_LEAST_W_MK:g} and more); check both"
+    if rho_kg_m3 < FOAM_KG_M3 and most > highest:
+        return f"{most:.3g} W/(m K) {at} (up to {highest:.3g}); check both"
+    return ""
+
+
 class Material(Declared):
     """A material of a layer: density [kg/m3], specific heat [J/(kg K)], conductivity [W/(m K)], emissivity [-].
 
@@ -258,20 +268,14 @@ class Material(Declared):
         """Heat capacity and conductivity that few solids of this density have."""
         rho = self.density_kg_m3
         remarks: list[tuple[Location, str]] = []
-        heats = [(i, c) for i, (T, c) in enumerate(self.specific_heat_J_kgK) if T >= ROOM_K]
-        for i, c in [] if self.apparent else heats:
-            low, high = (v / rho for v in DENSE_J_M3K) if rho >= DENSE_KG_M3 else LIGHT_J_KGK
-            if not low <= c <= high:
-                text = f"{c:.4g} J/(kg K) is unusual at {rho:g} kg/m3 ({low:.3g} to {high:.3g}); check both"
-                remarks.append((("specific_heat_J_kgK", i, 1), text))
-                break
+        low, high = (v / rho for v in DENSE_J_M3K) if rho >= DENSE_KG_M3 else LIGHT_J_KGK
+        heats = [(i, c) for i, (T, c) in enumerate(self.specific_heat_J_kgK) if T >= ROOM_K and not low <= c <= high]
+        if heats and not self.apparent:
+            i, c = heats[0]
+            text = f"{c:.4g} J/(kg K) is unusual at {rho:g} kg/m3 ({low:.3g} to {high:.3g}); check both"
+            remarks.append((("specific_heat_J_kgK", i, 1), text))
         cool = k[(T_K <= COOL_K) & (T_K >= COLDEST_K)]
-        if cool.size and rho >= DENSE_KG_M3 and np.min(cool) < DENSE_LEAST_W_MK:
-            text = f"{np.min(cool):.3g} W/(m K) is unusual at {rho:g} kg/m3 ({DENSE_LEAST_W_MK:g} and more); check both"
-            remarks.append((("conductivity_W_mK",), text))
-        highest = LIGHT_MOST_W_MK[0] + LIGHT_MOST_W_MK[1] * rho
-        if cool.size and rho < FOAM_KG_M3 and np.max(cool) > highest:
-            text = f"{np.max(cool):.3g} W/(m K) is unusual at {rho:g} kg/m3 (up to {highest:.3g}); check both"
+        if cool.size and (text := _conductivity_remark(rho, float(np.min(cool)), float(np.max(cool)))):
             remarks.append((("conductivity_W_mK",), text))
         return remarks
 

@@ -484,7 +484,7 @@ def _read_control(folder: Path, name: str | None) -> Grid:
 def _read_grid(path: Path, *, deflected: bool) -> Grid:
     axes = ("mach", "alpha_deg", "deflection_deg") if deflected else ("mach", "alpha_deg")
     table = read_csv_columns(path, (*axes, *COEFFICIENTS), keep_other=False)
-    points = [table[a] for a in axes] if deflected else [*(table[a] for a in axes), np.zeros(len(table))]
+    points = [*(table[a] for a in axes), np.zeros(len(table))][:3]
     mach, alpha, deflection = (np.unique(p) for p in points)
     values = np.full((mach.size, alpha.size, deflection.size, 3), np.nan)
     where = tuple(np.searchsorted(axis, p) for axis, p in zip((mach, alpha, deflection), points, strict=True))

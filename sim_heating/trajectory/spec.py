@@ -577,16 +577,20 @@ class TrajectorySpec(Convertible):
     def _check_fields(cls, fields: dict[str, Any]) -> dict[str, Any]:
         return check_columns(fields)
 
+    def _check_recorded(self) -> None:
+        if self.file is None:
+            raise ValueError('source = "recorded" needs `file`, a CSV of flight conditions')
+        if self.manoeuvre or self.initial is not None:
+            raise ValueError("a recorded flight cannot be changed: remove `initial` and the manoeuvres")
+
     @model_validator(mode="after")
     def _check_source(self) -> TrajectorySpec:
-        if self.fields and self.source != "recorded":
-            raise ValueError('[trajectory.fields] names fields of a file: it goes with source = "recorded"')
         if self.source == "recorded":
-            if self.file is None:
-                raise ValueError('source = "recorded" needs `file`, a CSV of flight conditions')
-            if self.manoeuvre or self.initial is not None:
-                raise ValueError("a recorded flight cannot be changed: remove `initial` and the manoeuvres")
-        elif self.source == "fmu":
+            self._check_recorded()
+            return self
+        if self.fields:
+            raise ValueError('[trajectory.fields] names fields of a file: it goes with source = "recorded"')
+        if self.source == "fmu":
             self._check_fmu()
         elif self.initial is None:
             raise ValueError(f'source = "{self.source}" needs [trajectory.initial]')
@@ -597,7 +601,7 @@ class TrajectorySpec(Convertible):
                 'a manoeuvre with `alpha = "free"` needs attitude, which source = "entry-3dof" has not: fly "jsbsim", '
                 'or set alpha = "held"'
             )
-        if self.source != "recorded" and self.sample_s < 1.0 / self.rate_hz - 1e-9:
+        if self.sample_s < 1.0 / self.rate_hz - 1e-9:
             raise ValueError(f"sample_s = {self.sample_s} is shorter than one frame, {1.0 / self.rate_hz:.4g} s")
         return self
 

@@ -28,6 +28,50 @@ TELEMETRY = {
 }
 
 
+SAMPLES = [(10 * k, 400_000 - 3000 * k, 24_500 - 200 * k, 40.0 - 0.5 * k) for k in range(12)]
+"""Time [s], altitude [ft], velocity [ft/s], angle of attack [deg] of an entry."""
+HEAD = "Time (s){0}Altitude (ft){0}Velocity (ft/s){0}Alpha (deg)\n"
+
+
+def german(text: str) -> str:
+    return text.translate(str.maketrans(",.", ".,"))
+
+
+@pytest.mark.parametrize(
+    ("head", "row"),
+    [
+        (HEAD.format(","), lambda t, h, v, a: f'{t},"{h:,}","{v:,}",{a}'),
+        (HEAD.format(";"), lambda t, h, v, a: f"{t};{h:,};{v:,};{a}"),
+        (HEAD.format(";"), lambda t, h, v, a: german(f"{t};{h:,.1f};{v:,.1f};{a}")),
+        (HEAD.format(" ").replace(" (", "("), lambda t, h, v, a: f"{t:.1E} {h:.6E} {v:.5E} {a:.3E}".replace("E", "D")),
+        ("Time,Altitude,Velocity,Alpha\n", lambda t, h, v, a: f"{t} s,{h} ft,{v} ft/s,{a} deg"),
+        (
+            HEAD.format(",").replace(" (s)", ""),
+            lambda t, h, v, a: f"2024-05-13 23:5{8 + t // 60}:{t % 60:02d},{h},{v},{a}",
+        ),
+        (
+            HEAD.format(",").replace(" (s)", ""),
+            lambda t, h, v, a: f"{23 + t // 60:02d}:{(59 + t // 60) % 60:02d}:{t % 60:02d},{h},{v},{a}".replace(
+                "24:", "00:", 1
+            ),
+        ),
+        ("Range file\nFlight 12, 2024\n\n" + HEAD.format(","), lambda t, h, v, a: f"{t},{h},{v},{a}"),
+    ],
+    ids=["quoted thousands", "thousands", "German", "Fortran", "units in cells", "dates", "clock", "lines above"],
+)
+def test_a_range_file_is_read_by_one_layout_of_its_cells(tmp_path, head, row):
+    path = tmp_path / "range.txt"
+    path.write_text(head + "".join(f"{row(*sample)}\n" for sample in SAMPLES))
+    columns = read_flight(path, ("time_s", "altitude_m", "velocity_m_s", "alpha_deg")).table.columns
+    for column, k, factor in (
+        ("time_s", 0, 1.0),
+        ("altitude_m", 1, 0.3048),
+        ("velocity_m_s", 2, 0.3048),
+        ("alpha_deg", 3, 1.0),
+    ):
+        np.testing.assert_allclose(columns[column], [factor * sample[k] for sample in SAMPLES], rtol=1e-5)
+
+
 # Each kind of file ----------------------------------------------------------------------------------------------------
 
 

@@ -676,12 +676,23 @@ def rows_of(form: Callable[[int, float], str]) -> str:
         ("elapsed,TC1 (C)\n", lambda i, T: f"0 days 00:00:{2 * i:02d}.000000,{T:.2f}"),
         ("TC run,Time,Celsius(°C)\n", lambda i, T: f"{i + 1},13/05/2024 10:45:{2 * i:02d},{T:.2f}"),
         ("", lambda i, T: f'{{"time_s": {2 * i}, "TC1_C": {T:.2f}}}'),
+        ("[", lambda i, T: f'{{"time_s": {2 * i}, "TC1_C": {T:.2f}}}{",]"[i == 11]}'),
         (
             '"Model","GX10"\n\n"Ch.","","","CH1"\n"Tag","","","wall"\n"Unit","","","°C"\n"Date","Time","ms",""\n',
             lambda i, T: f"2024/05/13,10:45:{2 * i:02d},000,{T:.2f}",
         ),
     ],
-    ids=["French", "comment of MATLAB", "dataTaker", "ExceLINX", "pandas spans", "Lascar", "JSON lines", "Yokogawa"],
+    ids=[
+        "French",
+        "comment of MATLAB",
+        "dataTaker",
+        "ExceLINX",
+        "pandas spans",
+        "Lascar",
+        "JSON lines",
+        "JSON list",
+        "Yokogawa",
+    ],
 )
 @pytest.mark.filterwarnings("ignore:.*no unit is stated")
 def test_more_recorders_are_read_as_they_are_written(head: str, form: Callable[[int, float], str]) -> None:
@@ -715,6 +726,34 @@ def test_rows_from_the_newest_to_the_first_are_read_from_the_last() -> None:
     assert measured.zero_s == datetime(2024, 5, 13, 10, 45, tzinfo=UTC).timestamp()
     assert measured.line(0).endswith("row 13")
     assert "the rows run back in time: read from the last" in measured.notes
+
+
+@pytest.mark.parametrize(
+    ("head", "row", "said"),
+    [
+        ("Time (s),TC1 (C)", "{t},{y:.1f} °F", "row 2, column TC1: `20.0 °F` has another unit than the name"),
+        ("Time (s),TC1 (C)", "{t},{y:.1f}%", "row 2, column TC1: `20.0%` has another unit than the name"),
+        ("Time (s),TC1 (C)", "{t} ms,{y:.1f}", "row 2, column Time: `0 ms` has another unit than the name"),
+    ],
+)
+def test_cells_in_another_unit_than_their_column_states_are_refused(head: str, row: str, said: str) -> None:
+    Path("t.csv").write_text(f"{head}\n" + rows_of(lambda i, T: row.format(t=2 * i, y=T)), encoding="utf-8")
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_measured_csv(Path("t.csv"))
+
+
+def test_the_unit_of_the_cells_is_used_where_the_name_states_how_they_were_reduced() -> None:
+    Path("t.csv").write_text("Time (s),TC1 (Avg)\n" + rows_of(lambda i, T: f"{2 * i},{32.0 + 1.8 * T:.2f} °F"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        measured = read_measured_csv(Path("t.csv"))
+    np.testing.assert_allclose(measured.of_kind(TEMPERATURE)[0].si, CHANNEL_K, atol=0.006)
+
+
+def test_a_cell_too_long_for_a_table_is_refused_in_a_line() -> None:
+    Path("t.csv").write_text("Time (s),TC1 (C)\n0," + 200_000 * "2" + "\n1,21\n2,22\n")
+    with pytest.raises(InputError, match=r"^t.csv: cannot be read as a table"):
+        read_measured_csv(Path("t.csv"))
 
 
 def test_a_difference_of_temperatures_is_no_temperature() -> None:

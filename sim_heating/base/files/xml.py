@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.parsers import expat
 
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files.paths import display_path, os_error_reason
 
 DEEPEST = 100
@@ -64,8 +64,6 @@ def read_xml(
         raise InputError(f"{name}: cannot be read ({os_error_reason(error)})") from None
     if len(content) > largest_bytes:
         raise InputError(f"{name}: is larger than {largest_bytes / 2**20:.0f} MiB")
-    try:
+    with error_context(name):
         check_xml(content, root, names_standard=names_standard)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
     return content

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeVar
 
@@ -114,6 +114,13 @@ class ResidualEvidence:
         if not self.shape_fits or self.p_value > POLICY.significance:
             return ["As heating, the residual is no more than noise: it follows no variable of the flight."]
         best = self.shape_fits[0]
+        lines = [*self._best_shape(best), *self._activity()]
+        lines += self._hysteresis()
+        significant = [s for s in self.axial or () if s.p_value < POLICY.significance and s.as_of_transition]
+        return lines + [step.describe() + self._distance_from_edge(step) for step in significant]
+
+    def _best_shape(self, best: ShapeFit) -> list[str]:
+        """What the residual follows best, what it follows nearly as well, and what that means."""
         lines = [
             f"The residual follows {best.shape.describe()}: {best.amplitude:+.3g} of {self.unit} at its largest, "
             f"{abs(best.z):.0f} sigma; that is {best.share:.0%} of the gain of the best heating history."
@@ -136,12 +143,13 @@ class ResidualEvidence:
             lines.append(
                 "No variable explains half of it: the cause may be something that the record does not contain."
             )
+        return lines
+
+    def _activity(self) -> Iterator[str]:
+        """When the residual differs from none, and by how much."""
         for span in self.active[:3]:
             size = f"{span.delta_ratio:+.3g}" + ("" if math.isnan(span.relative) else f" ({span.relative:+.0%})")
-            lines.append(f"Active from {span.start_s:.0f} to {span.end_s:.0f} s: {size} of {self.unit} on average.")
-        lines += self._hysteresis()
-        significant = [s for s in self.axial or () if s.p_value < POLICY.significance and s.as_of_transition]
-        return lines + [step.describe() + self._distance_from_edge(step) for step in significant]
+            yield f"Active from {span.start_s:.0f} to {span.end_s:.0f} s: {size} of {self.unit} on average."
 
     def _distance_from_edge(self, step: AxialStep) -> str:
         """How far in time a step in acceleration is from the nearest start or end of the missing heating."""

@@ -257,6 +257,14 @@ def _adequacy_section(joint: JointClosure) -> Section:
     return Section("Does it explain the records?", tables=[Table(text, columns, rows)])
 
 
+def _values_cells(joint: JointClosure, name: str) -> list[str]:
+    """A parameter as all records give it, and as each gives it by itself."""
+    common = [p for label, p in joint.parameters.items() if label.partition(AT)[0] == name]
+    alone = [e.own.get(name) for e in joint.search.evidence]
+    together = "; ".join(_bound(p.value, p.sigma) for p in common) or "-"
+    return [together, *("-" if o is None else _bound(*o) for o in alone)]
+
+
 def _values_section(joint: JointClosure) -> Section:
     """The cause's parameters: in common, and as each record gives them by itself."""
     best = joint.search.best
@@ -270,16 +278,8 @@ def _values_section(joint: JointClosure) -> Section:
     rows = []
     for name in best.model.cause.candidate.names:
         level = best.model.levels[name]
-        common = [p for label, p in joint.parameters.items() if label.partition(AT)[0] == name]
-        alone = [e.own.get(name) for e in joint.search.evidence]
-        rows.append(
-            [
-                name,
-                only or whose["all" if one_point and level != RECORD else level],
-                "; ".join(_bound(p.value, p.sigma) for p in common) or "-",
-                *("-" if o is None else _bound(*o) for o in alone),
-            ]
-        )
+        owner = only or whose["all" if one_point and level != RECORD else level]
+        rows.append([name, owner, *_values_cells(joint, name)])
     exact = all(c.statement.model_error is None for c in joint.closures)
     bounds = "corrected for coloured residuals" if exact else "with the error of the models"
     text = (

@@ -73,6 +73,12 @@ def parameter_values(used: EffectUse) -> dict[str, float]:
     return {p.name: v for p, v in zip(used.effect.parameters, used.values, strict=True)}
 
 
+def _shift_sigmas(estimate: Estimate, values: Mapping[str, float]) -> dict[str, float]:
+    """Distance of values from the estimates, in their standard deviations [-], where these are above 0."""
+    estimates = {n: estimate.parameters[n] for n in values if estimate.parameters[n].sigma > 0.0}
+    return {n: abs(values[n] - p.value) / p.sigma for n, p in estimates.items()}
+
+
 def effects_from_fit(
     estimate: Estimate,
     flight: FlightEvidence,
@@ -95,11 +101,8 @@ def effects_from_fit(
     digits : significant digits of a written value, far below any sigma
     """
     in_table = {u.effect.name for u in flight.in_table}
-    given_table = {
-        n: v
-        for n, v in _values_given_table(estimate, flight, table, turbulent).items()
-        if n.removeprefix(EFFECT_PREFIX).rpartition(".")[0] not in in_table
-    }
+    every = _values_given_table(estimate, flight, table, turbulent)
+    given_table = {n: v for n, v in every.items() if n.removeprefix(EFFECT_PREFIX).rpartition(".")[0] not in in_table}
     stays = (flight.path, point, table) if turbulent is None else None
     estimated = _parameters_by_effect(given_table)
     in_force = {e.name: e.parameters for e in estimate.effects}
@@ -129,11 +132,7 @@ def effects_from_fit(
         before=point.effects,
         after=after,
         written=tuple(u.effect.name for u in fitted),
-        shift_sigmas={
-            n: abs(v - estimate.parameters[n].value) / estimate.parameters[n].sigma
-            for n, v in given_table.items()
-            if estimate.parameters[n].sigma > 0.0
-        },
+        shift_sigmas=_shift_sigmas(estimate, given_table),
         not_written=not_written,
         not_fitted=tuple(u.effect.name for u in point.effects if u.effect.name not in {*in_force, *estimated}),
     )

@@ -337,11 +337,15 @@ def _select_point(estimate: Estimate, records: Sequence[Record], name: str | Non
         raise InputError(f"the estimate is of {listed}, not of {name}")
     indices = [i for i, r in enumerate(records) if r.declared.control_point == name]
     labels = _plain_names(estimate, name, alone=len(points) == 1)
+
+    def chosen(entries: Sequence[Any] | None) -> list[Any] | None:
+        return None if entries is None else [entries[i] for i in indices]
+
     return estimate.model_copy(
         update={
-            "records": [estimate.records[i] for i in indices],
-            "segments": None if estimate.segments is None else [estimate.segments[i] for i in indices],
-            "starts": None if estimate.starts is None else [estimate.starts[i] for i in indices],
+            "records": chosen(estimate.records),
+            "segments": chosen(estimate.segments),
+            "starts": chosen(estimate.starts),
             "parameters": {stem: estimate.parameters[label] for label, stem in labels.items()},
             "effects": [e for e in estimate.effects if e.control_point in (None, name)],
             "correlation": correlations(tuple(labels.values()), estimate.covariance(tuple(labels))),

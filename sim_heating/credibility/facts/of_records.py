@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -135,6 +136,8 @@ def of_several(facts: Sequence[Facts]) -> Facts:
     if len(facts) == 1:
         return facts[0]
     errors = [f.mesh_error_K for f in facts]
+    answers = ("consistent", "holds", "varied", "own_share", "own_noise")
+    agreed: dict[str, Any] = {name: _all(getattr(f, name) for f in facts) for name in answers}
     return replace(
         facts[0],
         topics=frozenset().union(*(f.topics for f in facts)),
@@ -144,11 +147,7 @@ def of_several(facts: Sequence[Facts]) -> Facts:
         samples=tuple(s for f in facts for s in f.samples),
         mesh_error_K=None if None in errors else max(e for e in errors if e is not None),
         sigma=all(f.sigma for f in facts),
-        consistent=_all(f.consistent for f in facts),
-        holds=_all(f.holds for f in facts),
-        varied=_all(f.varied for f in facts),
-        own_share=_all(f.own_share for f in facts),
-        own_noise=_all(f.own_noise for f in facts),
+        **agreed,
     )
 
 
@@ -177,11 +176,8 @@ def ratio_uncertainty(
     farthest = np.max(np.abs(x - np.asarray(reference)), axis=0)
     magnitude = max(float(np.max(np.abs(declared_ratio(r.ratio_table, np.atleast_2d(reference))))) for r in records)
     reach = {"scale": magnitude, "d0": 1.0} | {f"d_{s}": float(d) for s, d in zip(SHORT_NAMES, farthest, strict=True)}
-    contributions = {
-        name: s * reach[parameter]
-        for name, s in sigma.items()
-        if name.startswith("ratio.") and (parameter := name.partition("@")[0].removeprefix("ratio.")) in reach
-    }
+    reach = {f"ratio.{name}": value for name, value in reach.items()}
+    contributions = {n: s * reach[n.partition("@")[0]] for n, s in sigma.items() if n.partition("@")[0] in reach}
     if not any(contributions.values()):
         return None
     method = "sigma of each estimate times the farthest excursion of its variable; correlations left out"

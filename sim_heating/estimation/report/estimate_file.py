@@ -265,12 +265,11 @@ class Estimate(Extensible):
         for key, entries in (("segments", self.segments), ("starts", self.starts)):
             if entries is not None and len(entries) != len(self.records):
                 problems.append(((key,), f"has {len(entries)} entries for {len(self.records)} records"))
-        for i, record in enumerate(self.segments or []):
-            problems += [
-                (("segments", i, j), f"{s} is not a segment; give [start_s, end_s] with start before end")
-                for j, s in enumerate(record)
-                if len(s) != 2 or s[0] > s[1]
-            ]
+        segments = {(i, j): s for i, record in enumerate(self.segments or []) for j, s in enumerate(record)}
+        for place, s in segments.items():
+            if len(s) != 2 or s[0] > s[1]:
+                rule = f"{s} is not a segment; give [start_s, end_s] with start before end"
+                problems.append((("segments", *place), rule))
         if problems:
             raise LocatedError(*problems)
         # a table update weighs the estimate by its covariance, which must not have a negative variance in any direction

@@ -80,11 +80,8 @@ def _declared(estimate: Estimate, segments: str) -> FitErrors | None:
 def _parameters_section(fitted: FitResult, estimate: Estimate, parameters: Table) -> Section:
     about = derivatives_about(estimate.parameters, estimate.reference_condition.values())
     text = f"One standard deviation, corrected for coloured residuals. {about}".rstrip()
-    points = [
-        f"{n}: fixed at {p.value:g}{'' if p.unit == '1' else f' {p.unit}'}"
-        for n, p in estimate.fixed.items()
-        if n not in estimate.not_estimated
-    ]
+    fixed = {n: p for n, p in estimate.fixed.items() if n not in estimate.not_estimated}
+    points = [f"{n}: fixed at {p.value:g} {p.unit}".removesuffix(" 1") for n, p in fixed.items()]
     points += [f"{n}: tied to {other}" for n, other in estimate.ties.items() if n != other]
     points += [p.in_words() for p in fitted.profiles.values()]
     points += [f"{n}: not estimated, {why}" for n, why in estimate.not_estimated.items()]
@@ -93,8 +90,8 @@ def _parameters_section(fitted: FitResult, estimate: Estimate, parameters: Table
     rows = [[*pair.split(PAIR), rho] for pair, rho in strongest if abs(rho) >= NOTABLE]
     columns = [Column("parameter"), Column("and", is_text=True), Column("correlation", format="+.3f")]
     caption = f"Correlations of a magnitude of {NOTABLE:g} and more."
-    tables = [parameters, *([Table(caption, columns, rows, sortable=len(rows) > SORTABLE)] if rows else [])]
-    return Section("Estimated parameters", [text], points, tables)
+    notable = Table(caption, columns, rows, sortable=len(rows) > SORTABLE)
+    return Section("Estimated parameters", [text], points, [parameters, notable] if rows else [parameters])
 
 
 def _errors_section(estimate: Estimate) -> Section:

@@ -179,7 +179,7 @@ def _correlations(fitted: FitResult) -> Iterator[Remark]:
         yield _remark(CORRELATION, [labels[i], labels[j]], message)
     elif pairs:
         listed = ", ".join(f"{labels[i]} and {labels[j]} {rho[i, j]:+.3f}" for i, j in pairs[:SHOWN_PAIRS])
-        unlisted = f", and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""
+        unlisted = f", and {len(pairs) - SHOWN_PAIRS} more" * (len(pairs) > SHOWN_PAIRS)
         message = f"{len(pairs)} pairs have a correlation beyond {CORRELATED:g}: {listed}{unlisted}"
         yield _remark(CORRELATION, list(dict.fromkeys(labels[k] for pair in pairs for k in pair)), message)
 

@@ -42,14 +42,35 @@ from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.results import write_temperatures_csv
 
 
+def _parameters(fitted: FitResult) -> dict[str, dict[str, Any]]:
+    """Estimates with their standard deviations and priors, and the bounds that were stated, by label."""
+    problem = fitted.problem
+    stated = set(problem.owners.labels(problem.options.bounds or {}))
+    white = np.sqrt(np.diag(fitted.bounds.white))
+    entries = {}
+    for u, value, sigma, w in zip(problem.unknowns, fitted.fit.values, fitted.bounds.sigma, white, strict=True):
+        p = u.parameter
+        entries[u.label] = {
+            "value": float(value),
+            "sigma": float(sigma),
+            "unit": p.unit,
+            "white_sigma": float(w),
+            "prior_mean": float(p.value) if np.isfinite(p.sigma) else None,
+            "prior_sigma": _finite(p.sigma),
+            **({"lower": p.lower, "upper": p.upper} if stated & {u.label, *u.tied} else {}),
+        }
+    return entries
+
+
+def _both_errors(predictions: tuple[Prediction, ...]) -> dict[str, Any]:
+    return {segments: _errors(predictions, segments) for segments in ("fit", "holdout")}
+
+
 def estimate_contents(fitted: FitResult) -> Estimate:
     """The contents of estimate.json."""
-    problem, sigma = fitted.problem, fitted.bounds.sigma
+    problem = fitted.problem
     records = [record_fit.record for record_fit in problem.record_fits]
     points = {r.declared.control_point for r in records}
-    white = np.sqrt(np.diag(fitted.bounds.white))
-    stated = set(problem.owners.labels(problem.options.bounds or {}))
-    bounded = {u.label for u in problem.unknowns if stated & {u.label, *u.tied}}
     return Estimate.model_validate(
         {
             "format": "estimate/1",
@@ -57,18 +78,7 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "converged": fitted.fit.converged,
             "iterations": fitted.fit.iterations,
             "reference_condition": ReferenceCondition(**dict(zip(RATIO_VARIABLES, problem.reference, strict=True))),
-            "parameters": {
-                u.label: {
-                    "value": float(value),
-                    "sigma": float(s),
-                    "unit": u.parameter.unit,
-                    "white_sigma": float(w),
-                    "prior_mean": float(u.parameter.value) if np.isfinite(u.parameter.sigma) else None,
-                    "prior_sigma": _finite(u.parameter.sigma),
-                    **({"lower": u.parameter.lower, "upper": u.parameter.upper} if u.label in bounded else {}),
-                }
-                for u, value, s, w in zip(problem.unknowns, fitted.fit.values, sigma, white, strict=True)
-            },
+            "parameters": _parameters(fitted),
             "fixed": {n: {"value": v, "unit": unit} for n, (v, unit) in problem.fixed.items()},
             "ties": {label: u.label for u in problem.unknowns for label in u.tied},
             "not_estimated": fitted.not_estimated,
@@ -76,9 +86,7 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "noise_floor_K": noise_floor_K(fitted),
             "fit": _errors(fitted.after, "fit"),
             "holdout": _errors(fitted.after, "holdout"),
-            "predicted": None
-            if any(r.lacks_ratio for r in records)
-            else {segments: _errors(fitted.before, segments) for segments in ("fit", "holdout")},
+            "predicted": None if any(r.lacks_ratio for r in records) else _both_errors(fitted.before),
             "samples": sample_counts(fitted),
             "profiles": {name: profile.as_json() for name, profile in fitted.profiles.items()},
             "outliers": [outlier.as_json() for outlier in fitted.outliers],
@@ -282,15 +290,13 @@ def write_trend(trend: Trend, out: Path) -> list[str]:
     from sim_heating.estimation.report.plots import draw_trend
 
     segments = trend.segments
+    times = np.array([(s.start_s, s.end_s, float(s.samples)) for s in segments]).T
+    conditions = np.array([s.condition for s in segments]).T[: len(RATIO_VARIABLES)]
+    ratios = np.array([(s.ratio, s.sigma, s.declared, s.misfit) for s in segments]).T
     columns = {
-        "start_s": np.array([s.start_s for s in segments]),
-        "end_s": np.array([s.end_s for s in segments]),
-        "samples": np.array([float(s.samples) for s in segments]),
-        **{v: np.array([s.condition[i] for s in segments]) for i, v in enumerate(RATIO_VARIABLES)},
-        "ratio": np.array([s.ratio for s in segments]),
-        "sigma": np.array([s.sigma for s in segments]),
-        "declared_ratio": np.array([s.declared for s in segments]),
-        "misfit": np.array([s.misfit for s in segments]),
+        **dict(zip(("start_s", "end_s", "samples"), times, strict=True)),
+        **dict(zip(RATIO_VARIABLES, conditions, strict=True)),
+        **dict(zip(("ratio", "sigma", "declared_ratio", "misfit"), ratios, strict=True)),
         "correlation_before": _correlation_before(trend.covariance),
     }
     for k, name in enumerate(trend.names):

@@ -242,6 +242,15 @@ def _numbers(values: Sequence[float], conditions: Sequence[float] = ()) -> Float
     return np.concatenate([flown, values])
 
 
+def _interpreted_value(function: Callable[..., Any], numbers: FloatArray, wall_K: float) -> float:
+    """Value of a kernel by the interpreter [-]; nan where that raises, as a compiled kernel returns it; wall_K [K]."""
+    try:
+        with np.errstate(all="ignore"):
+            return float(function(numbers, 0, CONDITIONS, wall_K))
+    except (ArithmeticError, TypeError, ValueError):
+        return math.nan
+
+
 def unusable_value(use: EffectUse, time_s: FloatArray, history: FloatArray) -> str:
     """Where a user's effect has a value that no thermal step can use, by the interpreter; for a march that failed.
 
@@ -255,11 +264,7 @@ def unusable_value(use: EffectUse, time_s: FloatArray, history: FloatArray) -> s
     function = getattr(effect.kernel, "py_func", effect.kernel)
     for t, conditions in zip(time_s, history, strict=True):
         for wall_K in PROBED_WALLS_K:  # a kernel may depend on the wall without a word of it
-            try:
-                with np.errstate(all="ignore"):
-                    value = float(function(_numbers(use.values, conditions), 0, CONDITIONS, wall_K))
-            except (ArithmeticError, TypeError, ValueError):  # what a compiled kernel returns as nan
-                value = math.nan
+            value = _interpreted_value(function, _numbers(use.values, conditions), wall_K)
             if math.isfinite(value) and not (value < 0.0 and effect.mode != "add"):
                 continue
             wall = f" at a wall of {wall_K:g} K" if effect.needs_wall or wall_K != PROBED_WALLS_K[0] else ""

@@ -158,25 +158,15 @@ class Effect:
             object.__setattr__(self, name, tuple(getattr(self, name)))
         if len(self.parameters) > EFFECT_WIDTH:
             raise InputError(f"effect {self.name}: {len(self.parameters)} parameters; {EFFECT_WIDTH} at most")
-        if (self.mode == "model") != (self.kernel is None):
-            raise InputError(
-                f'effect {self.name}: mode "{self.mode}" {"takes no" if self.kernel else "needs a"} kernel; '
-                'every mode but "model" has one'
-            )
-        if self.mode == "model" and len(self.model_parameters) != len(self.parameters):
-            raise InputError(
-                f'effect {self.name}: mode "model" takes parameters of the model; make each with model_parameter(...)'
-            )
+        self._check_mode()
         for p in self.parameters:
             if not (p.lower <= p.value <= p.upper and p.sigma >= 0.0):
                 raise InputError(
                     f"effect {self.name}, parameter {p.name}: value {p.value:g}, sigma {p.sigma:g}, bounds {p.lower:g} "
                     f"to {p.upper:g}; sigma must be 0 or above, and the value within its bounds"
                 )
-        self._check_names(self.neutral, "neutral")
-        self._check_names(self.search_bounds, "search_bounds")
-        self._check_names(self.of_flow, "of_flow")
-        self._check_names(self.of_flight, "of_flight")
+        for name in ("neutral", "search_bounds", "of_flow", "of_flight"):
+            self._check_names(getattr(self, name), name)
         for column in self.needs:
             if column not in NEEDED_COLUMNS:
                 raise InputError(
@@ -242,26 +232,36 @@ class Effect:
         neutral = bool(self.neutral) and all(values[n] == value for n, value in self.neutral.items())
         return tuple(n for n in names if n in self.neutral or not neutral)
 
+    def _check_mode(self) -> None:
+        """raises : InputError where a kernel or the parameters do not go with the mode"""
+        if (self.mode == "model") != (self.kernel is None):
+            raise InputError(
+                f'effect {self.name}: mode "{self.mode}" {"takes no" if self.kernel else "needs a"} kernel; '
+                'every mode but "model" has one'
+            )
+        if self.mode == "model" and len(self.model_parameters) != len(self.parameters):
+            raise InputError(
+                f'effect {self.name}: mode "model" takes parameters of the model; make each with model_parameter(...)'
+            )
+
     def _check_kinds(self) -> None:
         """raises : InputError where a field is not of its kind, which a file of Python does not exclude"""
         modes = get_args(get_type_hints(Effect)["mode"])
-        wrong = {
-            "name": "a text" if not (isinstance(self.name, str) and self.name.strip()) else "",
-            "mode": f"one of {', '.join(modes)}" if self.mode not in modes else "",
-            "parameters": "Parameters in a tuple" if not _all_are(self.parameters, Parameter) else "",
-            "kernel": "a function of @njit, or None" if not (self.kernel is None or callable(self.kernel)) else "",
-            "needs": "names of columns in a tuple" if not _all_are(self.needs, str) else "",
-            "of_flow": "names of parameters in a tuple" if not _all_are(self.of_flow, str) else "",
-            "of_flight": "names of parameters in a tuple" if not _all_are(self.of_flight, str) else "",
-            "neutral": "numbers by parameter"
-            if not (isinstance(self.neutral, Mapping) and all(is_number(v) and v == v for v in self.neutral.values()))
-            else "",
-            "search_starts": "a function" if not (self.search_starts is None or callable(self.search_starts)) else "",
-            "physics": "a text" if not isinstance(self.physics, str) else "",
-            "source": "a text" if not isinstance(self.source, str) else "",
-        }
+        kinds: tuple[tuple[str, str, object], ...] = (
+            ("name", "a text", isinstance(self.name, str) and self.name.strip()),
+            ("mode", f"one of {', '.join(modes)}", self.mode in modes),
+            ("parameters", "Parameters in a tuple", _all_are(self.parameters, Parameter)),
+            ("kernel", "a function of @njit, or None", _is_function_or_none(self.kernel)),
+            ("needs", "names of columns in a tuple", _all_are(self.needs, str)),
+            ("of_flow", "names of parameters in a tuple", _all_are(self.of_flow, str)),
+            ("of_flight", "names of parameters in a tuple", _all_are(self.of_flight, str)),
+            ("neutral", "numbers by parameter", _are_numbers_by_name(self.neutral)),
+            ("search_starts", "a function", _is_function_or_none(self.search_starts)),
+            ("physics", "a text", isinstance(self.physics, str)),
+            ("source", "a text", isinstance(self.source, str)),
+        )
         raise_problems(
-            [f"effect {self.name}, `{f}`: {getattr(self, f)!r} is not {kind}" for f, kind in wrong.items() if kind]
+            [f"effect {self.name}, `{f}`: {getattr(self, f)!r} is not {kind}" for f, kind, holds in kinds if not holds]
         )
         self._check_arguments()
 
@@ -288,6 +288,14 @@ class Effect:
                 raise InputError(
                     f"effect {self.name}, `{where}`: no parameter `{name}`. The effect has: {', '.join(declared)}."
                 )
+
+
+def _is_function_or_none(value: object) -> bool:
+    return value is None or callable(value)
+
+
+def _are_numbers_by_name(value: object) -> bool:
+    return isinstance(value, Mapping) and all(is_number(v) and v == v for v in value.values())
 
 
 def _all_are(values: object, kind: type) -> bool:

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path, raise_problems, suggestion, write_text_atomic
 from sim_heating.base.files.xml import read_xml
 from sim_heating.heating.exchange.mathml import (
@@ -317,6 +317,26 @@ class DaveModel:
         return problems
 
 
+def _simple_table(name: str, inputs: Sequence[ET.Element], result: ET.Element, where: str) -> GriddedTable:
+    """The table of a function whose points stand in itself."""
+    axes, values = tuple(_numbers(i, where) for i in inputs), _numbers(result, where)
+    if len(axes) == 1 and np.any(np.diff(axes[0]) <= 0.0):
+        raise InputError(f"{where}: its independentVarPts must increase from value to value")
+    shape = tuple(map(len, axes))
+    if values.size != np.prod(shape):
+        raise InputError(f"{where}: {values.size} values, and its variables make {int(np.prod(shape))}")
+    return GriddedTable(name, (), axes, values.reshape(shape))
+
+
+def _extrapolation(variable: ET.Element, where: str) -> str:
+    """Ends beyond which a function is extrapolated in a variable; one that is not linear is refused."""
+    end, form = variable.get("extrapolate", "neither"), variable.get("interpolate", "linear")
+    if end not in ENDS or form != "linear":
+        wrong = form if end in ENDS else end
+        raise InputError(f"{where}, variable `{variable.get('varID')}`: `{wrong}` is not read here; use linear tables")
+    return end
+
+
 class _Reader:
     """Reads a document; messages name the element by its identifier or name."""
 
@@ -375,16 +395,16 @@ class _Reader:
             for data in _children(self.root, "checkData")
             for e in _children(data, "staticShot")
         )
-        author = next(iter(_children(header, "author")), None)
-        date = next(iter(_children(header, "creationDate")), None)
+        author = dict(next((child.attrib for child in _children(header, "author")), {}))
+        date = next((child.get("date", "") for child in _children(header, "creationDate")), "")
         return DaveModel(
             header.get("name", ""),
             variables,
             functions,
             cases,
             _text(header, "description"),
-            {} if author is None else dict(author.attrib),
-            "" if date is None else date.get("date", ""),
+            author,
+            date,
         )
 
     def function(self, e: ET.Element) -> Function:
@@ -396,24 +416,13 @@ class _Reader:
         if not inputs:
             raise InputError(f"{where}: has no independent variable")
         if simple:
-            axes = tuple(_numbers(i, where) for i in inputs)
-            values = _numbers(result, where)
-            if len(axes) == 1 and np.any(np.diff(axes[0]) <= 0.0):
-                raise InputError(f"{where}: its independentVarPts must increase from value to value")
-            shape = tuple(len(a) for a in axes)
-            if values.size != np.prod(shape):
-                raise InputError(f"{where}: {values.size} values, and its variables make {int(np.prod(shape))}")
-            table: Table = GriddedTable(name, (), axes, values.reshape(shape))
+            table: Table = _simple_table(name, inputs, result, where)
         else:
             table = self.table_of(_child(e, "functionDefn", where), where)
             count = table.values.ndim if isinstance(table, GriddedTable) else table.points.shape[1]
             if count != len(inputs):
                 raise InputError(f"{where}: {len(inputs)} independent variables, and its table has {count}")
-        ends = tuple(i.get("extrapolate", "neither") for i in inputs)
-        for i, end in zip(inputs, ends, strict=True):
-            if end not in ENDS or i.get("interpolate", "linear") != "linear":
-                form = end if end not in ENDS else i.get("interpolate")
-                raise InputError(f"{where}, variable `{i.get('varID')}`: `{form}` is not read here; use linear tables")
+        ends = tuple(_extrapolation(i, where) for i in inputs)
         limits = tuple(
             (number_of(i.get("min", "-1e300"), f"{where}, min"), number_of(i.get("max", "1e300"), f"{where}, max"))
             for i in inputs
@@ -501,10 +510,8 @@ def read_dave_ml(path: str | os.PathLike[str]) -> DaveModel:
     """
     file = Path(path)
     content = read_xml(file, ROOT, names_standard=True)
-    try:
+    with error_context(display_path(file)):
         return _Reader(ET.fromstring(content)).model()
-    except InputError as error:
-        raise InputError(*(f"{display_path(file)}: {p}" for p in error.problems)) from None
 
 
 def write_dave_ml(path: str | os.PathLike[str], model: DaveModel) -> None:

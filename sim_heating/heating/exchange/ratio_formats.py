@@ -184,17 +184,17 @@ def _absent_surfaces(data: Any, where: str) -> list[str]:
     """
     dimensions = [str(d) for d in data[RATIO].dims]
     lacking = [n for n in RATIO_VARIABLES if n not in dimensions]
-    required = [n for n in lacking if n not in SURFACES]
-    if required:
-        raise InputError(
-            f"{where}, variable {RATIO}: lacks the dimension `{required[0]}`; give one node where it is constant"
-        )
-    extra = [d for d in dimensions if d not in RATIO_VARIABLES]
-    if extra:
-        raise InputError(f"{where}, variable {RATIO}: dimension `{extra[0]}` is none of {', '.join(RATIO_VARIABLES)}")
-    no_nodes = [n for n in RATIO_VARIABLES if n in dimensions and n not in data.coords]
-    if no_nodes:
-        raise InputError(f"{where}: dimension `{no_nodes[0]}` has no coordinate; give its nodes")
+    for name in lacking:
+        if name not in SURFACES:
+            raise InputError(
+                f"{where}, variable {RATIO}: lacks the dimension `{name}`; give one node where it is constant"
+            )
+    for name in dimensions:
+        if name not in RATIO_VARIABLES:
+            raise InputError(f"{where}, variable {RATIO}: dimension `{name}` is none of {', '.join(RATIO_VARIABLES)}")
+    for name in RATIO_VARIABLES:
+        if name in dimensions and name not in data.coords:
+            raise InputError(f"{where}: dimension `{name}` has no coordinate; give its nodes")
     return lacking
 
 

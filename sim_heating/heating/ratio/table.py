@@ -71,7 +71,7 @@ class RatioTable:
         if self.sigma is not None and self.sigma.shape != shape:
             raise InputError(f"ratio table: sigma has shape {self.sigma.shape}, its axes {shape}; they must agree")
         for name, axis in zip(RATIO_VARIABLES, self.axes, strict=True):
-            if len(axis) == 0 or not np.all(np.isfinite(axis)) or np.any(np.diff(axis) <= 0.0):
+            if not (len(axis) and np.all(np.isfinite(axis)) and np.all(np.diff(axis) > 0.0)):
                 raise InputError(f"ratio table: {name} must be finite and increase from node to node")
         if not np.all(np.isfinite(self.ratio)):
             raise InputError("ratio table: every ratio must be a finite number")

@@ -71,17 +71,10 @@ def derived_conditions(
     Source    : US Standard Atmosphere 1976, eqs. 42, 50, 51; docs/theory/equations_reference_heating.md, 1 to 3.
     """
     c = dict(stated)
-    notes: list[str] = []
-    if GEOPOTENTIAL in c and "altitude_m" not in c:
-        c["altitude_m"] = np.array([geometric(float(h)) for h in c[GEOPOTENTIAL]])
-        notes.append("altitude_m from the geopotential height")
-    if REYNOLDS in c and "log10_re" not in c:
-        c["log10_re"] = np.log10(np.maximum(c[REYNOLDS], SLOWEST_RE))
-        notes.append("log10_re from the Reynolds number, of the reference length of the file")
+    notes = _add_other_forms(c)
     air = _Air(c, sounding)
-    if "velocity_m_s" not in c and "velocity_m_s" in requested and "mach" in c and (SOUND in c or air.is_known):
-        c["velocity_m_s"] = c["mach"] * (c[SOUND] if SOUND in c else np.sqrt(GAMMA * R_AIR * air["T_inf_K"]))
-        notes.append(f"velocity_m_s from mach{' and the speed of sound' if SOUND in c else air.named('T_inf_K')}")
+    if "velocity_m_s" in requested:
+        _add_speed(c, notes, air)
     _add_density(c, notes, air, requested)
     _add_free_stream(c, notes, air, requested, length_m)
     columns = {name: values for name, values in c.items() if name not in (REYNOLDS, SOUND, GEOPOTENTIAL)}
@@ -123,6 +116,30 @@ class _Air:
     def source(self) -> str:
         """What the air is taken from, in words."""
         return STANDARD if self.sounding is None else self.sounding.title
+
+
+def _add_other_forms(c: dict[str, FloatArray]) -> list[str]:
+    """Altitude [m] and log10 Re [-] from the geopotential height and the Reynolds number; notes of what was added."""
+    notes = []
+    if GEOPOTENTIAL in c and "altitude_m" not in c:
+        c["altitude_m"] = np.array([geometric(float(h)) for h in c[GEOPOTENTIAL]])
+        notes.append("altitude_m from the geopotential height")
+    if REYNOLDS in c and "log10_re" not in c:
+        c["log10_re"] = np.log10(np.maximum(c[REYNOLDS], SLOWEST_RE))
+        notes.append("log10_re from the Reynolds number, of the reference length of the file")
+    return notes
+
+
+def _add_speed(c: dict[str, FloatArray], notes: list[str], air: _Air) -> None:
+    """Speed [m/s] from the Mach number, where it is absent."""
+    if "velocity_m_s" in c or "mach" not in c:
+        return
+    if SOUND in c:
+        c["velocity_m_s"] = c["mach"] * c[SOUND]
+        notes.append("velocity_m_s from mach and the speed of sound")
+    elif air.is_known:
+        c["velocity_m_s"] = c["mach"] * np.sqrt(GAMMA * R_AIR * air["T_inf_K"])
+        notes.append(f"velocity_m_s from mach{air.named('T_inf_K')}")
 
 
 def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air, requested: Collection[str]) -> None:

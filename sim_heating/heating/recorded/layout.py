@@ -1,36 +1,41 @@
 """Files of flight conditions as tools write them: CSV, JSON lines, lists in columns, with their names and units.
 
-Read are commas, semicolons, tabs and blanks between cells, names in the last comment line (OpenRocket), comments
-between the rows, units in a row below the names, and one JSON object a line or a list of them. A column that holds
-texts is no condition; an empty cell or `NaN` is no number.
+Texts are read as those of loggers (cells/): separators, one decimal sign and one of thousands for the whole file, lines
+above the names, units in a row or in cells, dates and clocks for the time. Read as well are names in the last comment
+line (OpenRocket), exponents of Fortran, and one JSON object a line or a list of them. A column that holds texts is no
+condition; an empty cell or `NaN` is no number.
 """
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.errors import InputError
-from sim_heating.base.files import CsvTable, display_path, read_text
+from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.files import CsvTable, display_path
 from sim_heating.base.files.csv_table import header_entry
-from sim_heating.base.files.text import and_more_rows, repeated_name
-from sim_heating.base.files.units import NO_DIMENSION, known_unit
+from sim_heating.base.files.text import repeated_name
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, columns_of_fields, field_of_name
+
+if TYPE_CHECKING:
+    from sim_heating.heating.recorded.cells.block import Block
+    from sim_heating.heating.recorded.cells.clocks import Clock
 
 SAME = 2e-3
 """Relative difference of two fields of one column that are the same but for rounding."""
 DERIVABLE = {"T_inf_K", "p_inf_Pa", "rho_kg_m3", "mach", "log10_re", "p_surface_Pa"}
 """Columns that may follow from others."""
+FORTRAN = re.compile(r"(?<=\d)[dD](?=[+-]?\d)")
+"""The sign of an exponent as Fortran writes it, `1.0D+03`."""
 RULE = re.compile(r"^[\s|+\-=]{3,}$")
 """A line of dashes, which separates the names of a list from its rows."""
 
@@ -133,33 +138,25 @@ def read_fields(path: Path, stated: Mapping[str, ConditionField | str] | None = 
     raises : InputError, one line a problem: no rows of numbers, two fields of one column that differ, a stated field
              that is not there
     """
-    names, units, cells, lines, header = _rows(path, read_text(path))
+    names, units, numbers, lines, header = _rows(path, _text(path))
     declared = stated or {}
-    try:
+    with error_context(display_path(path)):
         by_column = columns_of_fields(names, units, declared)
-    except InputError as error:
-        raise InputError(*(f"{display_path(path)}: {line}" for line in error.problems)) from None
-    numbers = {name: _numbers(cells[name]) for name in names}
+    blank = {name for name, values in numbers.items() if np.all(np.isnan(values))}
+    filled = {column: [f for f in fields if f.name not in blank] for column, fields in by_column.items()}
     columns: dict[str, FloatArray] = {}
     used: dict[str, FlightField] = {}
     fields_without_unit: dict[str, FlightField] = {}
-    empty: list[str] = []
-    matched: set[str] = set()
-    for column, fields in by_column.items():
-        matched |= {f.name for f in fields}
-        filled = [f for f in fields if not np.all(np.isnan(numbers[f.name]))]
-        empty += [f.name for f in fields if f not in filled]
-        with_unit = [f for f in filled if f.unit is not None]
-        if filled and not with_unit:
-            fields_without_unit[column] = filled[0]
-        if with_unit:
+    for column, fields in filled.items():
+        if with_unit := [f for f in fields if f.unit is not None]:
             used[column], columns[column] = _one(path, column, with_unit, numbers)
-    for column, value in declared.items():
-        if isinstance(value, ConditionField) and value.constant is not None:
-            columns[column] = np.full(len(lines), value.constant)
-    unused = tuple(n for n in names if n not in matched)
+        elif fields:
+            fields_without_unit[column] = fields[0]
+    columns |= {column: np.full(len(lines), constant) for column, constant in declared_constants(declared).items()}
+    matched = [f.name for fields in by_column.values() for f in fields]
+    unused, empty = tuple(n for n in names if n not in matched), tuple(n for n in matched if n in blank)
     rows = np.array(lines, dtype=np.int64)
-    return FlightFields(path, columns, used, fields_without_unit, unused, tuple(empty), header, rows, numbers)
+    return FlightFields(path, columns, used, fields_without_unit, unused, empty, header, rows, numbers)
 
 
 def _one(
@@ -200,8 +197,14 @@ def _number(cell: Any) -> float:
     return value if math.isfinite(value) else math.nan
 
 
-Rows = tuple[list[str], dict[str, str], dict[str, Sequence[Any]], list[int], dict[str, str]]
-"""Names, unit by name, cells by name, line of each row, and the header."""
+Rows = tuple[list[str], dict[str, str], dict[str, FloatArray], list[int], dict[str, str]]
+"""Names, unit by name, numbers by name, line of each row, and the header."""
+
+
+def _text(path: Path) -> str:
+    from sim_heating.heating.recorded.cells.text import decoded
+
+    return decoded(path).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _rows(path: Path, text: str) -> Rows:
@@ -211,72 +214,75 @@ def _rows(path: Path, text: str) -> Rows:
     """
     if text.lstrip()[:1] in ("{", "["):
         return _json_rows(path, text)
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not RULE.match(line)]
-    comments = [(i, line) for i, line in lines if line.lstrip().startswith("#")]
-    plain = [(i, line) for i, line in lines if not line.lstrip().startswith("#")]
-    sign = _separator([line for _, line in plain[:200]])
-    split = [(i, _split(line, sign)) for i, line in plain]
-    first = next((k for k, (_, c) in enumerate(split) if _is_data(c)), None)
-    file = display_path(path)
-    if first is None:
-        raise InputError(f"{file}: no rows of numbers were found; give a file with a time and flight conditions")
-    ahead = [line for i, line in comments if i < split[first][0]]
-    names, units = _names_and_units(file, [c for _, c in split[:first]], ahead, sign, len(split[first][1]))
-    body = _even_rows(file, split[first:], sign)
-    columns: dict[str, Sequence[Any]] = dict(zip(names, zip(*_with_points(body, sign), strict=True), strict=True))
+    from sim_heating.heating.recorded.cells.text import text_block  # pandas, which a vehicle does not need
+
+    lines = text.split("\n")
+    block = text_block(path, "\n".join("" if RULE.match(line) else FORTRAN.sub("E", line) for line in lines))
+    if not block.has_names:
+        raise InputError(
+            f"{display_path(path)}: the row of column names is missing; add one, with units, as `Altitude (ft)`"
+        )
+    if (twice := repeated_name(block.names)) is not None:
+        raise InputError(f"{display_path(path)}: column `{twice}` is repeated; remove one")
+    units, numbers = _units_and_numbers(block)
+    ahead = [line for line in lines[: block.lines[0] - 1] if line.lstrip().startswith("#")]
     header = dict(header_entry(line) for line in ahead if ":" in line)
-    return names, units, columns, [i for i, _ in body], header
+    return list(block.names), units, numbers, list(block.lines), header
 
 
-def _names_and_units(
-    file: str, rows: Sequence[list[str]], comments: Sequence[str], sign: str, width: int
-) -> tuple[list[str], dict[str, str]]:
-    """Names of the columns, and unit by name, from the rows and comments above the numbers.
+def _units_and_numbers(block: Block) -> tuple[dict[str, str], dict[str, FloatArray]]:
+    """Unit of each column, where a row of units or the cells state one, and its numbers, by one layout for the file.
 
-    raises : InputError where there are no names, or a name is repeated
+    raises : InputError where a cell shows that the layout is not clear
     """
-    above = [cells for cells in rows if len(cells) == width]
-    if not above:  # the names stand in the last comment that has as many cells
-        named = [_split(line.lstrip().lstrip("#"), sign) for line in comments]
-        above = [cells for cells in named if len(cells) == width][-1:]
-    if not above:
-        raise InputError(f"{file}: the row of column names is missing; add one, with units, as `Altitude (ft)`")
-    names, units = above[-1], {}
-    if len(above) > 1 and all(_is_unit(c) for c in above[-1]):
-        names = above[-2]
-        units = {n: u.strip("[]() ") for n, u in zip(names, above[-1], strict=True)}
-    if (twice := repeated_name(names)) is not None:
-        raise InputError(f"{file}: column `{twice}` is repeated; remove one")
-    return names, units
+    from sim_heating.heating.recorded.cells.clocks import clock_of
+    from sim_heating.heating.recorded.cells.numbers import number_signs, numbers_of
+    from sim_heating.heating.recorded.cells.text import is_clock
+
+    fields = [field_of_name(name) for name in block.names]
+    clocks = {
+        k for k, f in enumerate(fields)
+        if f is not None and f.column == "time_s" and any(map(is_clock, block.column(k)[:50]))
+    }  # fmt: skip
+    signs = number_signs(block, [k for k in range(len(block.names)) if k not in clocks], None)
+    units, numbers = {}, {}
+    for k, (name, stated) in enumerate(zip(block.names, block.units, strict=True)):
+        cells = block.column(k)
+        clock = clock_of(cells, f"{display_path(block.path)}, column {name}") if k in clocks else None
+        read = numbers_of(cells, signs)
+        unit = stated.strip("[]() ") or read.unit
+        numbers[name] = read.values if clock is None else _counted_s(clock)
+        if clock is not None or unit:
+            units[name] = unit if clock is None else "s"
+    return units, numbers
 
 
-def _even_rows(file: str, body: list[tuple[int, list[str]]], sign: str) -> list[tuple[int, list[str]]]:
-    """The rows that have as many cells as the first; between blanks others are left out.
+def _counted_s(clock: Clock) -> FloatArray:
+    """Times of a clock from its first row [s], also over midnight where it states no date."""
+    from sim_heating.heating.recorded.cells.clocks import over_midnight
 
-    raises : InputError, naming the first row with another number of cells
-    """
-    width = len(body[0][1])
-    ragged = [i for i, c in body if len(c) != width]
-    if ragged and sign != " ":
-        rule = f"does not have {width} cells as the other rows; mend or remove it{and_more_rows(len(ragged))}"
-        raise InputError(f"{file}, row {ragged[0]}: {rule}")
-    return [(i, c) for i, c in body if len(c) == width]
+    seconds = over_midnight(clock.seconds)[0] if clock.day_s is None else clock.seconds
+    return np.round(seconds - seconds[np.isfinite(seconds)][0], 6)
 
 
-def _with_points(body: Sequence[tuple[int, list[str]]], sign: str) -> list[list[str]]:
-    """Cells of rows, a decimal comma replaced by a point."""
-    comma = sign != "," and any(re.fullmatch(r"[+-]?\d+,\d+(e[+-]?\d+)?", x, re.IGNORECASE) for x in body[0][1])
-    return [[x.replace(",", ".") for x in c] if comma else c for _, c in body]
+def declared_constants(declared: Mapping[str, ConditionField | str]) -> dict[str, float]:
+    """Columns that are declared to be one number."""
+    fields = {column: value for column, value in declared.items() if isinstance(value, ConditionField)}
+    return {column: field.constant for column, field in fields.items() if field.constant is not None}
+
+
+def _numbered_objects(text: str) -> list[tuple[int, Any]]:
+    """Entries of a list in JSON with their numbers, or what each line holds with that of the line."""
+    if text.lstrip().startswith("["):
+        return list(enumerate(json.loads(text), 1))
+    return [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
 
 
 def _json_rows(path: Path, text: str) -> Rows:
     """Rows of JSON: one object a line, or a list of objects."""
     file = display_path(path)
     try:
-        if text.lstrip().startswith("["):
-            numbered = [(k, row) for k, row in enumerate(json.loads(text), 1)]
-        else:
-            numbered = [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+        numbered = _numbered_objects(text)
     except json.JSONDecodeError as error:
         raise InputError(f"{file}, row {error.lineno}: is not JSON ({error.msg}); give one object a line") from None
     except RecursionError:
@@ -285,26 +291,4 @@ def _json_rows(path: Path, text: str) -> Rows:
     if not rows or len(rows) != len(numbered):
         raise InputError(f"{file}: is no list of JSON objects; give one object a line, of a time and flight conditions")
     names = list(dict.fromkeys(name for _, row in rows for name in row))
-    return names, {}, {n: [row.get(n) for _, row in rows] for n in names}, [i for i, _ in rows], {}
-
-
-def _separator(lines: Sequence[str]) -> str:
-    """The sign between the cells of the last lines: a tab, a semicolon, a comma, else blanks."""
-    tail = lines[-20:]
-    return next((s for s in ("\t", ";", ",") if tail and all(s in line for line in tail)), " ")
-
-
-def _split(line: str, sign: str) -> list[str]:
-    if sign == " ":
-        return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=sign, skipinitialspace=True))]
-
-
-def _is_data(cells: Sequence[str]) -> bool:
-    numbers = sum(bool(re.fullmatch(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?", c, re.IGNORECASE)) for c in cells)
-    return numbers >= 2 and 2 * numbers >= sum(bool(c) and c.lower() != "nan" for c in cells)
-
-
-def _is_unit(cell: str) -> bool:
-    unit = cell.strip("[]() ")
-    return unit in NO_DIMENSION or unit == "%" or known_unit(unit) is not None
+    return names, {}, {n: _numbers([row.get(n) for _, row in rows]) for n in names}, [i for i, _ in rows], {}

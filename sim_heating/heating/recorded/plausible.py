@@ -100,8 +100,7 @@ def implausible_values(table: CsvTable) -> list[str]:
 
     table : columns of flight conditions, `time_s`, `altitude_m` and `velocity_m_s` among them; others may be absent
     """
-    celsius = [table.celsius_problems(name) for name in ("T_inf_K", "T_back_K") if name in table.columns]
-    problems = [line for lines in celsius for line in lines]
+    problems = [p for name in ("T_inf_K", "T_back_K") if name in table.columns for p in table.celsius_problems(name)]
     for name, (lowest, highest, rule) in LIMITS.items():
         if name in table.columns:
             problems += table.problems_where_not(name, (table[name] >= lowest) & (table[name] <= highest), rule)

@@ -9,13 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, reworded
 from sim_heating.base.files import CsvTable, display_path, nearest_name, raise_problems
 from sim_heating.base.files.text import and_more_rows
 from sim_heating.heating.recorded.derive import derived_conditions
@@ -143,18 +144,15 @@ def read_flight(
     flight, assumed = _with_time(flight)
     raise_problems([*_misspelt(flight, required), *_empty_cells(flight, flight.columns)])
     needed = {*required, "rho_kg_m3"}
-    try:
+    with reworded(partial(_of_row, flight)):
         derived = derived_conditions(flight.columns, length_m=length_m, sounding=sounding, requested=needed)
-    except InputError as error:
-        raise InputError(*(_of_row(flight, line) for line in error.problems)) from None
     columns, of_pressure = with_pressure(derived.columns, required, pressure)
     _refuse_lacking(flight, columns, required, statement, has_pressure=pressure is not None)
     columns = {name: columns[name] for name in (*required, *(n for n in columns if n not in required))}
     notes = [*flight.notes, *assumed, *derived.notes, *of_pressure]
-    if flight.empty:
-        notes.append(f"no numbers in {', '.join(f'`{n}`' for n in flight.empty)}")
-    if flight.unused:
-        notes.append(f"not used: {', '.join(f'`{n}`' for n in flight.unused)}")
+    for names, text in ((flight.empty, "no numbers in"), (flight.unused, "not used:")):
+        if names:
+            notes.append(f"{text} {', '.join(f'`{n}`' for n in names)}")
     of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(flight.columns)
     fields_of = {column: f.name for column, f in flight.fields.items()}
     return FlightTable(flight.table(columns), tuple(notes), tuple(assumed), of_model, fields_of)
@@ -235,6 +233,18 @@ def _with_time(flight: FlightFields) -> tuple[FlightFields, list[str]]:
     ]
 
 
+def _units_in_words(fields: Mapping[str, FlightField]) -> str:
+    """`the units of `a`, `b``; empty without a field."""
+    names = ", ".join(f"`{f.name}`" for f in fields.values())
+    return f"the unit{'s' * (len(fields) > 1)} of {names}" if fields else ""
+
+
+def _columns_in_words(flight: FlightFields, absent: Sequence[str]) -> str:
+    """Columns that a file lacks, with the field that is called so and holds no numbers."""
+    empty = {f.column: name for name in flight.empty if (f := field_of_name(name)) is not None}
+    return ", ".join(f"{c} (`{empty[c]}` holds no numbers)" if c in empty else c for c in absent)
+
+
 def _refuse_lacking(
     flight: FlightFields,
     columns: Mapping[str, FloatArray],
@@ -255,15 +265,8 @@ def _refuse_lacking(
     named_units = {c: (f.name, _example(c, flight.numbers[f.name])) for c, f in concerned.items()}
     # what would follow from a column that is asked for is not asked for itself
     follows = {*DERIVABLE} - (set() if has_pressure else {"p_surface_Pa"})
-    absent = [column for column in needed if column not in named_units and column not in follows]
-    units = (
-        f"the unit{'s' * (len(named_units) > 1)} of {', '.join(f'`{n}`' for n, _ in named_units.values())}"
-        if named_units
-        else ""
-    )
-    empty = {f.column: name for name in flight.empty if (f := field_of_name(name)) is not None}
-    named = [f"{c} (`{empty[c]}` holds no numbers)" if c in empty else c for c in absent]
-    lacking = " and ".join(text for text in (units, ", ".join(named)) if text)
+    absent = [column for column in needed if column not in {*named_units, *follows}]
+    lacking = " and ".join(filter(None, (_units_in_words(concerned), _columns_in_words(flight, absent))))
     raise InputError(
         f"{display_path(flight.path)}: needs {lacking or ', '.join(needed)}; {statement.of(named_units, absent)}"
     )

@@ -76,6 +76,13 @@ class Sounding:
         return {name: np.where(inside, values, standard[name]) for name, values in measured.items()}, notes
 
 
+def _levels(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Levels in which all columns have numbers, in order of altitude, each altitude once."""
+    is_complete = np.all([np.isfinite(values) for values in columns.values()], axis=0)
+    _, first = np.unique(columns["altitude_m"][is_complete], return_index=True)
+    return {name: values[is_complete][first] for name, values in columns.items()}
+
+
 def read_sounding(path: Path) -> Sounding:
     """Read a sounding: an altitude, and two of temperature [K], pressure [Pa] and density [kg/m3], with their units.
 
@@ -87,25 +94,19 @@ def read_sounding(path: Path) -> Sounding:
     c = dict(fields.columns)
     if GEOPOTENTIAL in c and "altitude_m" not in c:
         c["altitude_m"] = np.array([geometric(float(h)) for h in c[GEOPOTENTIAL]])
-    problems = [f"the unit of `{name}`" for name in fields.without_unit]
-    problems += ["an altitude"] * (
-        "altitude_m" not in c and not any(n in fields.fields_without_unit for n in ("altitude_m",))
-    )
+    lacking = [f"the unit of `{name}`" for name in fields.without_unit]
+    if "altitude_m" not in {*c, *fields.fields_without_unit}:
+        lacking.append("an altitude")
     if len({"T_inf_K", "p_inf_Pa", "rho_kg_m3"} & set(c)) < 2 and not fields.without_unit:
-        problems.append("two of temperature, pressure and density")
-    if problems:
+        lacking.append("two of temperature, pressure and density")
+    if lacking:
         raise InputError(
-            f"{display_path(path)}: a sounding needs {', '.join(problems)}; write names with units, as "
+            f"{display_path(path)}: a sounding needs {', '.join(lacking)}; write names with units, as "
             "`Altitude (km)`, `Temperature (K)`, `Pressure (hPa)`"
         )
-    names = [n for n in ("altitude_m", "T_inf_K", "p_inf_Pa", "rho_kg_m3") if n in c]
-    is_complete = np.all([np.isfinite(c[n]) for n in names], axis=0)
-    c = {n: c[n][is_complete] for n in names}
-    order = np.argsort(c["altitude_m"], kind="stable")
-    keep = order[np.concatenate(([True], np.diff(c["altitude_m"][order]) > 0.0))] if len(order) else order
-    c = {n: values[keep] for n, values in c.items()}
-    if len(keep) < LEAST_LEVELS:
-        rule = f"a sounding needs {LEAST_LEVELS} levels with numbers; it has {len(keep)}"
+    c = _levels({n: c[n] for n in ("altitude_m", "T_inf_K", "p_inf_Pa", "rho_kg_m3") if n in c})
+    if len(c["altitude_m"]) < LEAST_LEVELS:
+        rule = f"a sounding needs {LEAST_LEVELS} levels with numbers; it has {len(c['altitude_m'])}"
         raise InputError(f"{display_path(path)}: {rule}")
     if "T_inf_K" not in c:
         c["T_inf_K"] = c["p_inf_Pa"] / (R_AIR * c["rho_kg_m3"])

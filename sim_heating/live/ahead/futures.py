@@ -210,16 +210,17 @@ class Futures:
         there = {n: float(v[0]) for n, v in path.at(np.array([begin])).items() if n != "time_s"}
         stays, returns = dict(trim), {}
         apart = {n: frame.values.get(n, 0.0) - there[n] for n in there if n in frame.values or n == "jets"}
-        commanded = {n: d for n, d in apart.items() if n in COMMANDED or (n in SURFACES and n in self.rates)}
+        with_rate = {*COMMANDED, *(self.rates.keys() & {*SURFACES})}
+        commanded = {n: d for n, d in apart.items() if n in with_rate}
         for name, difference in commanded.items():
             returns[name] = (difference, max(abs(difference) / self.rates[name], SHORTEST_RETURN_S))
         longest = max((over for value, over in returns.values() if value != 0.0), default=SHORTEST_RETURN_S)
-        for name, difference in apart.items():
-            if name in SURFACES and name not in commanded:
-                returns[name] = (difference - trim.get(name, 0.0), longest)
-            elif name not in commanded:
+        for name in (n for n in apart if n not in commanded):
+            if name in SURFACES:
+                returns[name] = (apart[name] - trim.get(name, 0.0), longest)
+            else:
                 is_ratio = name in SHARES and there[name] > 0.0
-                stays[name] = frame.values[name] / there[name] if is_ratio else difference
+                stays[name] = frame.values[name] / there[name] if is_ratio else apart[name]
         return Course(path, begin, frame.time_s, stays, returns)
 
     def after(self, frame: Frame) -> dict[str, Future]:

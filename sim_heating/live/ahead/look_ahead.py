@@ -189,17 +189,19 @@ class LookAhead:
                 by_future[n] += lanes.march(grids[n], histories[n][group])
         return by_future
 
+    def _planned_manoeuvres(self, futures: Sequence[Future]) -> list[tuple[float, float]]:
+        """Start and end [s] of the manoeuvres of courses on the planned flight, each with a step behind it."""
+        if self.futures is None:
+            return []
+        courses = [getattr(f, "planned", f) for f in futures]
+        planned = [c for c in courses if isinstance(c, Course) and c.path is self.futures.planned]
+        return [(w.start_s, w.end_s + FIRST_STEP_S) for c in planned for w in self.futures.manoeuvres(c)]
+
     def _steps(self, begin_s: float, futures: Sequence[Future]) -> FloatArray:
         """Steps of the march [s]: growing with the time from now, short in manoeuvres, one at each corner."""
         end = begin_s + self.horizon_s
         t, steps = begin_s, [begin_s]
-        fine = [
-            (w.start_s, w.end_s + FIRST_STEP_S)
-            for f in futures
-            for course in [getattr(f, "planned", f)]
-            if self.futures is not None and isinstance(course, Course) and course.path is self.futures.planned
-            for w in self.futures.manoeuvres(course)
-        ]
+        fine = self._planned_manoeuvres(futures)
         while t < end - 1e-9:
             dt = min(max(FIRST_STEP_S, GROWTH * (t - begin_s)), LONGEST_STEP_S)
             for start, stop in fine:

@@ -48,13 +48,15 @@ class FrameRemarks:
 
     def _together(self) -> list[str]:
         """What the columns of the frames so far say of each other."""
-        frames = sorted(self._frames, key=lambda f: f.time_s)
-        frames = [f for k, f in enumerate(frames) if k == 0 or f.time_s > frames[k - 1].time_s]
-        names = [n for n in frames[0].values if all(n in f.values for f in frames)]
-        if any(name not in names for name in NEEDED):
+        by_time: dict[float, Frame] = {}
+        for frame in sorted(self._frames, key=lambda f: f.time_s):
+            by_time.setdefault(frame.time_s, frame)
+        frames = list(by_time.values())
+        names = set(frames[0].values).intersection(*(f.values for f in frames))
+        if not names.issuperset(NEEDED):
             return []
-        columns = {name: np.array([f.values[name] for f in frames]) for name in names}
-        columns[TIME] = np.array([f.time_s for f in frames])
+        columns = {name: np.array([f.values[name] for f in frames]) for name in frames[0].values if name in names}
+        columns[TIME] = np.array(list(by_time))
         table = CsvTable(columns, {}, Path(f"{self._file}, frames"), np.arange(1, len(frames) + 1))
         lines = implausible_values(table) or unusual_values(table)
         new = [line for line in lines if _column(line) not in self._told]

@@ -67,9 +67,8 @@ class Start:
         apart_K = max((abs(T - declared[node]) for node, T in by_node.items()), default=0.0)
         sigmas_K = [self._sensors.sigma_K[n] for n in rows if n in read_K]
         exactly = declared, np.zeros((len(declared), len(declared)))
-        if self._options.start == "declared" or (
-            self._options.start == "auto" and apart_K <= START_AGREES * max([*sigmas_K, START_SIGMA_K / START_AGREES])
-        ):
+        agrees = apart_K <= START_AGREES * max([*sigmas_K, START_SIGMA_K / START_AGREES])
+        if self._options.start == "declared" or (self._options.start == "auto" and agrees):
             return exactly
         if not by_node:
             self._notices.tell(f"{point.name}: no reading to start from; the declared temperatures are taken")

@@ -262,6 +262,16 @@ class PageServer:
     def _cookie(self) -> str:
         return f"sim_heating_live_{self.port}"
 
+    def _has_token(self, scope: Scope, headers: dict[str, str], token: str) -> bool:
+        """Whether the address, the cookie or the header of a request holds the token."""
+        cookie = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
+        stated = [
+            _query(scope, "token"),
+            "" if cookie is None else cookie.value,
+            headers.get("authorization", "").removeprefix("Bearer "),
+        ]
+        return any(hmac.compare_digest(text.encode(), token.encode()) for text in stated)
+
     def _refusal(self, scope: Scope, headers: dict[str, str]) -> tuple[str, int] | None:
         """Text and status for who may not read; None for who may."""
         host, origin = headers.get("host", ""), headers.get("origin")
@@ -274,15 +284,8 @@ class PageServer:
         if self.token is None:
             if host.rsplit(":", 1)[0] not in LOOPBACK and not is_loopback(host.rsplit(":", 1)[0]):
                 return f"this page is at {self.url}\n", 421
-        else:
-            cookie = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
-            tokens = [
-                _query(scope, "token"),
-                "" if cookie is None else cookie.value,
-                headers.get("authorization", "").removeprefix("Bearer "),
-            ]
-            if not any(hmac.compare_digest(g.encode(), self.token.encode()) for g in tokens):
-                return "this page needs its token: open the address that the program printed\n", 401
+        elif not self._has_token(scope, headers, self.token):
+            return "this page needs its token: open the address that the program printed\n", 401
         if scope["type"] == "websocket" and site is not None and site != host:
             return "not from another site\n", 403
         return None

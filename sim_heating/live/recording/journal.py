@@ -347,7 +347,7 @@ def require_usable(
             "directory by --out"
         )
     if apart := differences((head.link, head.means), (link, means)):
-        shown = "; ".join(apart[:4]) + (f"; and {len(apart) - 4} more" if len(apart) > 4 else "")
+        shown = "; ".join([*apart[:4], *([f"and {len(apart) - 4} more"] if len(apart) > 4 else [])])
         raise InputError(
             f"{name}: was begun with another link: {shown}. Go on with the link that began it, or name another "
             "directory by --out"

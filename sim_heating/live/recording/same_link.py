@@ -75,29 +75,32 @@ def _compared(contents: Mapping[str, Any]) -> dict[str, Any]:
     except (ValidationError, InputError, ValueError):  # of a version that had other keys: as it is written
         contents = dict(contents)
     compared = {key: contents.get(key) for key in (*DECODED, *FOLLOWED)}
-    compared["source"] = [
-        {k: v for k, v in source.items() if k not in NOT_OF_MESSAGES} for source in contents.get("source") or []
-    ]
-    named = {k: {"field": v} if isinstance(v, str) else v for k, v in (compared["conditions"] or {}).items()}
-    compared["conditions"] = {k: {n: x for n, x in v.items() if x is not None} for k, v in named.items()}
+    sources = contents.get("source") or []
+    compared["source"] = [{k: v for k, v in source.items() if k not in NOT_OF_MESSAGES} for source in sources]
+    compared["conditions"] = {k: _stated_keys(v) for k, v in (compared["conditions"] or {}).items()}
     return compared
+
+
+def _stated_keys(condition: str | Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of a condition that state something; one by the name of its field alone as a table."""
+    table = {"field": condition} if isinstance(condition, str) else condition
+    return {key: value for key, value in table.items() if value is not None}
 
 
 def _apart(value: Any, other: Any, key_path: str) -> Iterator[str]:
     """Lines on where two plain values differ, by their keys."""
     if isinstance(value, Mapping) and isinstance(other, Mapping):
         for key in dict.fromkeys([*value, *other]):
-            yield from _apart(value.get(key), other.get(key), f"{key_path}.{key}" if key_path else str(key))
+            yield from _apart(value.get(key), other.get(key), f"{key_path}.{key}".lstrip("."))
     elif _is_list(value) and _is_list(other) and _has_tables(value, other):
         if len(value) != len(other):
             yield f"[[{key_path}]]: there were {len(value)}, now {len(other)}"
         for k, (a, b) in enumerate(zip(value, other, strict=False), start=1):
             yield from _apart(a, b, f"{key_path} {k}")
+    elif value != other and key_path.startswith("files."):
+        yield f"{key_path.removeprefix('files.')} names a file that was changed"
     elif value != other:
-        if key_path.startswith("files."):
-            yield f"{key_path.removeprefix('files.')} names a file that was changed"
-        else:
-            yield f"`{key_path}` was {_shown(value)}, now {_shown(other)}"
+        yield f"`{key_path}` was {_shown(value)}, now {_shown(other)}"
 
 
 def _is_list(value: Any) -> bool:

@@ -222,11 +222,8 @@ def _record_like(record: Record, flown: Mapping[str, FloatArray], measured: Mapp
     sensors = [s for s in record.sensors if s.column in measured]
     declared = record.with_sensors(sensors).declared
     first_s, last_s = float(measured["time_s"][0]), float(measured["time_s"][-1])
-    segments_declared = declared.segments
-    reached = {
-        name: [s for s in segments if s[0] <= last_s and s[1] >= first_s] if segments is not None else None
-        for name, segments in (("fit", segments_declared.fit), ("holdout", segments_declared.holdout))
-    }
+    stated = {"fit": declared.segments.fit or (), "holdout": declared.segments.holdout or ()}
+    reached = {name: [s for s in every if s[0] <= last_s and s[1] >= first_s] for name, every in stated.items()}
     overlapping = {name: segments for name, segments in reached.items() if segments}
     declared = declared.model_copy(update={"segments": Segments(**overlapping)})
     conditions = Conditions({name: v for name, v in flown.items() if name in DESCRIPTIONS or name in record.conditions})

@@ -80,17 +80,19 @@ def _estimates(state: State) -> Section:
     return Section("Estimates", tables=tables)
 
 
+def _failed_spans(engine: LinkEngine, point: str) -> list[Span]:
+    """Times in which sensors of a point were wrong."""
+    failures = [f for f in engine.checks.failures if f.point == point]
+    return [Span(f.wrong_s, engine.estimator.time_s or f.found_s, f"{f.sensor}: {f.why}") for f in failures]
+
+
 def _point(engine: LinkEngine, name: str, point: PointState) -> Section:
     """Time histories of a control point, and its heating ratio against the angle of attack."""
     readings = {k: _increasing(v) for k, v in engine.followed.readings(name).items()}
     history = _increasing(engine.followed.estimates(name))
     charts = []
     if history or readings:
-        spans = [
-            Span(f.wrong_s, engine.estimator.time_s or f.found_s, f"{f.sensor}: {f.why}")
-            for f in engine.checks.failures
-            if f.point == name
-        ]
+        spans = _failed_spans(engine, name)
         panels = _wall_panels(history) + [p for k, v in readings.items() for p in _sensor_panels(k, v)]
         caption = (
             f"{name}: estimates as they were during the flight, bands of 2 sigma. Readings, and what was expected "

@@ -39,11 +39,12 @@ from sim_heating.heating.recorded.fields import (
     unit_conversion,
     unit_of_name,
 )
+from sim_heating.heating.recorded.layout import declared_constants
 from sim_heating.heating.recorded.plausible import implied_length_m
 from sim_heating.heating.recorded.reading import implied_pressure, local_pressure, with_pressure
 from sim_heating.heating.surface_pressure import PressureModel
 from sim_heating.inputs.record import Record
-from sim_heating.live.spec import Link, SensorField
+from sim_heating.live.spec import Link, LinkPoint, SensorField
 from sim_heating.live.types import TIME, Frame, Message, Reading, Sample
 from sim_heating.thermal.stack import Sensor
 
@@ -128,6 +129,11 @@ class _Gathered:
     values: dict[str, float] = field(default_factory=dict)
 
 
+def _first_record(link: Link) -> Record | None:
+    """The record of the first point; None for a link on a vehicle."""
+    return link.records[link.names[0]] if link.records else None
+
+
 class ConditionFields:
     """Which fields of a link are flight conditions, and which columns follow from them.
 
@@ -143,16 +149,16 @@ class ConditionFields:
         self.has_model_density = False
         self._read = {c.column: c for c in columns}
         self._own = frozenset(self._read) - set(link.declared.conditions)
-        self._needed = tuple(n for n in self._read if n not in ACCOMPANYING or n not in self._own)
+        self._needed = tuple(n for n in self._read if n not in self._own.intersection(ACCOMPANYING))
         self._sources: tuple[str, ...] = ()
         self._taken, self._constants = frozenset(named), constants
         has_only_q = "q_Pa" in self._read and "rho_kg_m3" not in {*self._read, *constants}
         self._derived: tuple[str, ...] = ("rho_kg_m3",) if has_only_q else ()
         self._seen: set[str] = set()
-        record = next((link.records[name] for name in link.names if link.records), None)
-        self._length_m = None if record is None else implied_length_m(record.conditions.columns)
-        self._pressure = None if record is None else _pressure_of(record)
+        record = _first_record(link)
         flown = {} if record is None else record.conditions.columns
+        self._length_m = None if record is None else implied_length_m(flown)
+        self._pressure = None if record is None else _pressure_of(record)
         self._of_record = {n: float(flown[n][0]) for n in HELD if n in flown and np.ptp(flown[n]) == 0.0}
 
     @property
@@ -172,14 +178,12 @@ class ConditionFields:
         """
         if self._seen.issuperset(names):
             return
-        for name in [n for n in names if n not in self._seen and n not in self._taken]:
+        for name in [n for n in names if n not in {*self._seen, *self._taken}]:
             declared = FlightField(name, name, column_unit(name), Conversion(1.0, 0.0)) if name in self._own else None
             flight_field = declared or field_of_name(name)
-            if (
-                flight_field is not None
-                and flight_field.unit is not None
-                and (flight_field.column in self._own or self._may_give(flight_field))
-            ):
+            if flight_field is None or flight_field.unit is None:
+                continue
+            if flight_field.column in self._own or self._may_give(flight_field):
                 self._use(flight_field)
         self._seen |= set(names)
 
@@ -247,8 +251,8 @@ class ConditionFields:
 
         raises : InputError where a column does not follow, as a density at a speed of 0
         """
-        also = ("q_Pa", *(n for n in ACCOMPANYING if n in self._own))
-        values = {n: v for n, v in latest.items() if n in self._needed or n in also} | self._constants
+        used = {*self._needed, "q_Pa", *(self._own & {*ACCOMPANYING})}
+        values = {n: v for n, v in latest.items() if n in used} | self._constants
         if not self._derived:
             return values
         V, q = values.get("velocity_m_s", 1.0), values.get("q_Pa", 1.0)
@@ -306,13 +310,10 @@ class FieldMapping:
         self._zero = declared.time.zero
         self._skew_s = clock_skew_s(link)
         # what a record has and no field gives is as it was at the start, as the pressure at a wall at rest
-        first = next((link.records[name] for name in link.names if link.records), None)
+        first = _first_record(link)
         flown = {} if first is None else first.conditions.columns
-        constants = {n: float(v[0]) for n, v in flown.items() if n not in ("time_s", *link.columns)} | {
-            name: value.constant
-            for name, value in declared.conditions.items()
-            if isinstance(value, ConditionField) and value.constant is not None
-        }
+        constants = {n: float(v[0]) for n, v in flown.items() if n not in ("time_s", *link.columns)}
+        constants |= declared_constants(declared.conditions)
         self._words, of_words = _words(link, file)
         clocks = [w.time for w in self._words if w.time is not None]
         named = {self._time, *clocks, *(w.field for w in self._words)}
@@ -604,20 +605,24 @@ def _words(link: Link, file: str) -> tuple[list[_Word], list[str]]:
     return list(by_sensor.values()), problems
 
 
-def _declared_word(link: Link, declared: SensorField, where: str) -> _Word:
-    matches = [
-        (point, sensor)
-        for point in link.points
-        for sensor in point.sensors
-        if sensor.name == declared.sensor and declared.control_point in (None, point.name)
-    ]
-    if not matches:
-        names = [s.name for p in link.points for s in p.sensors]
-        raise InputError(f"{where}: `sensor`: unknown sensor `{declared.sensor}`{suggestion(declared.sensor, names)}")
-    if len(matches) > 1:
-        owners = ", ".join(point.name for point, _ in matches)
+def _declared_sensor(link: Link, declared: SensorField, where: str) -> tuple[LinkPoint, Sensor]:
+    """The sensor that a field is declared for, and its point.
+
+    raises : InputError where there is none, or several points have one
+    """
+    sensors = [(point, sensor) for point in link.points for sensor in point.sensors]
+    alike = [(p, s) for p, s in sensors if s.name == declared.sensor and declared.control_point in (None, p.name)]
+    if not alike:
+        known = suggestion(declared.sensor, [sensor.name for _, sensor in sensors])
+        raise InputError(f"{where}: `sensor`: unknown sensor `{declared.sensor}`{known}")
+    if len(alike) > 1:
+        owners = ", ".join(point.name for point, _ in alike)
         raise InputError(f"{where}: {owners} have a sensor {declared.sensor}; add `control_point`")
-    point, sensor = matches[0]
+    return alike[0]
+
+
+def _declared_word(link: Link, declared: SensorField, where: str) -> _Word:
+    point, sensor = _declared_sensor(link, declared, where)
     if declared.codes and (sensor.bits is None or sensor.range_K is None):
         raise InputError(
             f"{where}: `codes`: {declared.sensor} declares no recorder; add `bits` and `range_K` to its declaration, "

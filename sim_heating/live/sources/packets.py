@@ -136,7 +136,7 @@ def _size_problems(entries: Sequence[tuple[bool, Any]], container: str) -> list[
     sizes = [_bits(entry) or 0 for is_common, entry in entries if is_common]  # 0 where it is not known
     ends = list(accumulate(takewhile(bool, sizes)))
     has_all_sizes = len(ends) == len(sizes)
-    if (has_all_sizes or (ends and ends[-1] > 8 * HEADER)) and 8 * HEADER not in ends:
+    if (has_all_sizes or max(ends, default=0) > 8 * HEADER) and 8 * HEADER not in ends:
         rule = f"its parameters do not end at the {8 * HEADER} bits of a primary header; correct their sizes"
         return [f"container `{container}`: {rule}"]
     if has_all_sizes and all(is_common for is_common, _ in entries) and ends[-1] % 8:

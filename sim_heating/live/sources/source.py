@@ -54,8 +54,8 @@ def check_sources(link: Link, mapping: FieldMapping) -> None:
         sent = None if sent is None or fields is None else [*sent, *fields]
     raise_problems(problems)
     if sent:
-        named = [getattr(s, "xtce", None) or getattr(s, "record", None) for s in link.declared.source]
-        mapping.check_sent(sent, ", ".join(dict.fromkeys(n for n in named if n)) or "its sources")
+        named = filter(None, (getattr(s, "xtce", None) or getattr(s, "record", None) for s in link.declared.source))
+        mapping.check_sent(sent, ", ".join(dict.fromkeys(named)) or "its sources")
 
 
 def _fields(link: Link, source: Source) -> Sequence[str] | None:

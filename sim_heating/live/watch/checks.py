@@ -173,11 +173,8 @@ class SensorChecks:
         drift = recent.mean_over(DRIFT_OF)
         if drift is None or abs(drift) < DRIFT_SIGMAS:
             return ""
-        others = [
-            self._recent[k].mean_over(DRIFT_OF)
-            for k in self._recent
-            if k[0] == key[0] and k != key and k not in self._failed
-        ]
+        neighbours = [k for k in self._recent if k[0] == key[0] and k not in {key, *self._failed}]
+        others = [self._recent[k].mean_over(DRIFT_OF) for k in neighbours]
         agree = [m for m in others if m is not None and abs(m) < NEIGHBOUR_SIGMAS]
         if len(agree) < NEIGHBOURS or len(agree) < len(others):
             return ""

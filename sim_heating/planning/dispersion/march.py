@@ -79,6 +79,11 @@ class _RatioNodes:
     first: IntArray
 
 
+def _with_own_table(model: PointModel) -> PointModel:
+    """A model with a copy of its ratio table."""
+    return model if model.ratio is None else replace(model, ratio=replace(model.ratio))
+
+
 class LaneMarch:
     """Control points of a vehicle, each in LANES lanes.
 
@@ -104,9 +109,7 @@ class LaneMarch:
         self.points, self.step_s, self.soak_s = tuple(points), step_s, soak_s
         self.models = [model_without_sensors(vehicle, p, e) for p, e in zip(points, effects, strict=True)]
         # Each lane has a copy of the ratio table, whose nodes are written before every march.
-        lanes = [
-            m if m.ratio is None else replace(m, ratio=replace(m.ratio)) for m in self.models for _ in range(LANES)
-        ]
+        lanes = [_with_own_table(m) for m in self.models for _ in range(LANES)]
         # Packed once for the whole study; every march restores the initial state and writes what is dispersed.
         self.ensemble = Ensemble(
             lanes,

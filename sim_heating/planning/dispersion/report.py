@@ -203,7 +203,8 @@ SURFACE, BONDLINE = "tab:red", "tab:blue"
 WIDTH = 0.38
 """Half width of a distribution in the picture."""
 BINS = 40
-HOLDS, FAILS = {"marker": "o", "color": "tab:green"}, {"marker": "X", "color": "tab:red"}
+HOLDS: dict[str, Any] = {"marker": "o", "color": "tab:green"}
+FAILS: dict[str, Any] = {"marker": "X", "color": "tab:red"}
 
 
 @replaced_if_undrawable
@@ -261,6 +262,16 @@ def _distribution(ax: Axes, row: int, peak: PeakStatistics, values: np.ndarray, 
 
 
 @replaced_if_undrawable
+def _draw_quantile(axes: Axes, y: float, counted: Any, first: Mapping[str, Any]) -> None:
+    """Draw a quantile to first order less the counted one [K], on the bounds of that one."""
+    if counted.value is None:
+        return
+    if counted.low is not None and counted.high is not None:
+        ends = [counted.low - counted.value, counted.high - counted.value]
+        axes.plot(ends, [y, y], color="0.7", linewidth=4, solid_capstyle="butt")
+    axes.plot(first["difference_K"], y, markersize=5, linestyle="none", **(HOLDS if first["holds"] else FAILS))
+
+
 def draw_first_order(path: Path, title: str, result: DispersionResult) -> None:
     """Draw first-order quantiles less those counted [K], on the bounds of the counted ones."""
     figure, axes = new_figure(11.0, 2.2 + 0.5 * len(result.entry.points), 1, 2, sharey=True)
@@ -270,16 +281,7 @@ def draw_first_order(path: Path, title: str, result: DispersionResult) -> None:
         for a in (a for a in result.peaks if a.quantity == quantity):
             row = points.index(a.point)
             for k, (q, first) in enumerate(zip(a.quantiles, a.first["quantiles"], strict=True)):
-                y = row + 0.7 * (k - 0.5 * (len(qs) - 1)) / max(len(qs) - 1, 1)
-                if q.value is None:
-                    continue
-                if q.low is not None and q.high is not None:
-                    ax.plot(
-                        [q.low - q.value, q.high - q.value], [y, y], color="0.7", linewidth=4, solid_capstyle="butt"
-                    )
-                ax.plot(
-                    first["difference_K"], y, markersize=5, linestyle="none", **(HOLDS if first["holds"] else FAILS)
-                )
+                _draw_quantile(ax, row + 0.7 * (k - 0.5 * (len(qs) - 1)) / max(len(qs) - 1, 1), q, first)
         ax.axvline(0.0, color="0.3", linewidth=0.8)
         _name_points(ax, points, result, quantity)
         ax.set_xlabel(f"peak {quantity.removesuffix('_K')}: first order less counted, K")
@@ -300,10 +302,9 @@ def draw_drivers(path: Path, title: str, result: DispersionResult) -> None:
     figure, axes = new_figure(max(6.0 + 0.42 * len(peaks), 9.0), 3.4 + 0.3 * len(groups), 1)
     ax = axes[0]
     image = ax.imshow(np.clip(total, 0.0, 1.0), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
-    for i, row in enumerate(total):
-        for k, value in enumerate(row):
-            if value >= 0.005:
-                ax.text(k, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color="w" if value > 0.55 else "k")
+    for (i, k), value in np.ndenumerate(total):
+        if value >= 0.005:
+            ax.text(k, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color="w" if value > 0.55 else "k")
     ax.set_xticks(
         range(len(peaks)),
         [f"{a.point} {a.location}" for a in peaks],

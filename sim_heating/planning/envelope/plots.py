@@ -62,16 +62,16 @@ def draw_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> None:
 def _draw_line_map(path: Path, title: str, flown: FlownMap, sigmas: float) -> None:
     figure, axes = new_figure(9.0, 6.0, 1)
     (name, values), a = next(iter(flown.declared.axes.items())), axes[0]
-    good = [(x, f) for x, f in zip(values, flown.flights, strict=True) if f.error is None]
-    hot = {n for _, f in good for n, m in f.margins.items() if m.unit == "K"}
-    least = sorted(hot, key=lambda n: min(f.margins[n].margin for _, f in good))[:MOST_LIMITS]
-    x = np.array([v for v, _ in good])
+    good = [f for f in flown.flights if f.error is None]
+    hot = {n for f in good for n, m in f.margins.items() if m.unit == "K"}
+    least = sorted(hot, key=lambda n: min(f.margins[n].margin for f in good))[:MOST_LIMITS]
+    x = np.array([v for v, f in zip(values, flown.flights, strict=True) if f.error is None])
     for colour, limit in zip(COLOURS, least, strict=False):
-        y = np.array([f.margins[limit].margin for _, f in good])
-        s = sigmas * np.array([f.margins[limit].sigma for _, f in good])
+        y = np.array([f.margins[limit].margin for f in good])
+        s = sigmas * np.array([f.margins[limit].sigma for f in good])
         a.plot(x, y, "o-", color=colour, markersize=3.5, label=limit)
         a.fill_between(x, y - s, y + s, color=colour, alpha=0.10, linewidth=0)
-    _mark_excluded(a, [(v, f) for v, f in zip(values, flown.flights, strict=True)])
+    _mark_excluded(a, list(zip(values, flown.flights, strict=True)))
     a.axhline(0.0, color="k", linewidth=1.0)
     a.set_xlabel(LABELS[name])
     a.set_ylabel(f"margin to the limit, K (band: {sigmas:g} sigma of the ratio tables)")

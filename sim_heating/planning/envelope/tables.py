@@ -73,11 +73,9 @@ def write_map(path: Path, study: Study, flown: FlownMap) -> None:
             row: dict[str, Any] = {**position, "control_point": name, "cross_range_km": flight.cross_range_km}
             for kind in (SURFACE, BONDLINE):
                 m = flight.margins.get(f"{name} {kind}")
-                row |= {
-                    f"peak_{kind}_K": np.nan if m is None else m.value,
-                    f"{kind}_sigma_K": np.nan if m is None else m.sigma,
-                    f"{kind}_margin_K": np.nan if m is None else m.margin,
-                }
+                numbers = (np.nan,) * 3 if m is None else (m.value, m.sigma, m.margin)
+                keys = (f"peak_{kind}_K", f"{kind}_sigma_K", f"{kind}_margin_K")
+                row |= dict(zip(keys, numbers, strict=True))
             row["remarks"] = flight.error or "; ".join(o for o in flight.outside if o.startswith(name))
             rows.append(row)
     columns = {key: np.array([r[key] for r in rows]) for key in rows[0]}
@@ -210,10 +208,9 @@ def flight_notes(flights: Sequence[EvaluatedCase]) -> tuple[str, ...]:
         first = no_trim[0].case.describe()
         trim.append(f"no trim within the elevon's travel: {len(no_trim)} flights, first {first}; not allowed")
     by_end: dict[str, list[EvaluatedCase]] = {}
-    for f in flights:
-        for n, m in f.other_violations:
-            if m.kind == TABLE:
-                by_end.setdefault(n, []).append(f)
+    left = [(name, f) for f in flights for name, m in f.other_violations if m.kind == TABLE]
+    for name, flight in left:
+        by_end.setdefault(name, []).append(flight)
     outside = [_excursion_note(name, excursions) for name, excursions in sorted(by_end.items())]
     return tuple(dict.fromkeys([*failed, *trim, *outside]))
 

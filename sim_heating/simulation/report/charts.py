@@ -101,14 +101,12 @@ def record_chart(
     panels = []
     for i in used or range(len(record.sensors)):
         name = record.sensors[i].name
-        curves = [Curve("measured", t, read_K[i], MEASURED, points=True)]
-        labels = [with_rmse(m.label, m.residual_K[i], fitted) for m in models]
-        curves += [Curve(label, t, m.indicated_K[i], m.color) for label, m in zip(labels, models, strict=True)]
+        labelled = [(with_rmse(m.label, m.residual_K[i], fitted), m) for m in models]
         if temperatures:
-            panels.append(Panel(f"{name}, indicated, K", curves))
-        residuals = [
-            Curve(label, t, m.residual_K[i], m.color, points=True) for label, m in zip(labels, models, strict=True)
-        ]
+            curves = [Curve(label, t, m.indicated_K[i], m.color) for label, m in labelled]
+            measured = Curve("measured", t, read_K[i], MEASURED, points=True)
+            panels.append(Panel(f"{name}, indicated, K", [measured, *curves]))
+        residuals = [Curve(label, t, m.residual_K[i], m.color, points=True) for label, m in labelled]
         limits = residual_limits(models[scale].residual_K[i][fitted])
         panels.append(Panel(f"{name}, measured minus predicted, K", residuals, 0.6, zero=True, limits=limits))
     view = shown_span(record)
@@ -144,6 +142,11 @@ def _shaded(windows: Sequence[Window]) -> str:
     return " Shaded: manoeuvres." if windows else ""
 
 
+def _is_hot_structure(point: PointHistory) -> bool:
+    """Whether the bondline gets nearly as hot as the surface."""
+    return bool(np.max(point.bondline_K) >= HOT_STRUCTURE * np.max(point.surface_K))
+
+
 def temperature_chart(
     points: Sequence[PointHistory],
     windows: Sequence[Window],
@@ -155,11 +158,8 @@ def temperature_chart(
     styles = distinct_styles(len(ordered))
     panels = []
     for key, label in (("surface_K", "surface temperature, K"), ("bondline_K", "bondline temperature, K")):
-        shown = [
-            (p, s)
-            for p, s in zip(ordered, styles, strict=True)
-            if key == "surface_K" or np.max(p.bondline_K) < HOT_STRUCTURE * np.max(p.surface_K)
-        ]
+        styled = zip(ordered, styles, strict=True)
+        shown = [(p, s) for p, s in styled if key == "surface_K" or not _is_hot_structure(p)]
         curves = [Curve(p.name, p.time_s, getattr(p, key), **s) for p, s in shown]
         for p, s in shown:
             limit = limits.get(p.name, {}).get(key)

@@ -124,15 +124,13 @@ def draw_temperatures(
     _plot_by_peak(axes[0], {p.name: (p.time_s, p.surface_K) for p in hottest}, style, "surface temperature, K")
     insulated = [p for p in hottest if np.max(p.bondline_K) < HOT_STRUCTURE * np.max(p.surface_K)]
     _plot_by_peak(axes[1], {p.name: (p.time_s, p.bondline_K) for p in insulated}, style, "bondline temperature, K")
-    for a, shown, k in ((axes[0], hottest, 0), (axes[1], insulated, 1)):
+    for k, (a, shown, key) in enumerate(((axes[0], hottest, "surface_K"), (axes[1], insulated, "bondline_K"))):
         for p in (p for p in shown if p.band is not None):
             _fill_band(a, p, k, style[p.name]["color"])
-    if len(points) <= LIMITS_SHOWN:
-        for a, shown, key in ((axes[0], hottest, "surface_K"), (axes[1], insulated, "bondline_K")):
+        if len(points) <= LIMITS_SHOWN:
             _plot_limits(a, {p.name: (limits or {}).get(p.name, {}).get(key) for p in shown}, style)
-    axes[1].set_xlabel("time, s")
-    for a in axes:
         _shade(a, windows)
+    axes[1].set_xlabel("time, s")
     _name_windows(axes[0], windows)
     left_out = [p.name for p in hottest if p not in insulated]
     if left_out:

@@ -11,7 +11,7 @@ import pandas as pd
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path
-from sim_heating.templates.loggers.block import Block, cell_text, of_frame
+from sim_heating.heating.recorded.cells.block import Block, cell_text, of_frame
 
 KINDS = {b"PAR1": "parquet", b"PK\x03\x04": "xlsx", b"\xd0\xcf\x11\xe0": "xls", b"TDSm": "tdms"}
 """First bytes -> kind of file."""
@@ -51,22 +51,29 @@ def read_table(path: Path, kind: str, sheet: str | None) -> Block | list[list[st
 
 
 def json_block(path: Path, text: str) -> Block:
-    """The block of JSON lines, one object a row, whose keys are names of columns.
+    """The block of JSON lines, one object a row, whose keys are names of columns, or of a list of such objects.
 
     raises : InputError, one line, for a row that is no object
     """
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
-    rows = []
-    for i, line in lines:
-        try:
-            row = json.loads(line)
-        except ValueError:
-            row = None
+    if text.lstrip().startswith("["):
+        items = _json(text)
+        rows = list(enumerate(items if isinstance(items, list) else [None], 1))
+    else:
+        rows = [(i, _json(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+    for i, row in rows:
         if not isinstance(row, dict):
             raise InputError(f"{display_path(path)}, row {i}: no JSON object; write one a row, with the same keys")
-        rows.append(row)
-    block = of_frame(path, pd.DataFrame(rows, dtype=object), {}, "JSON lines")
-    return replace(block, lines=tuple(i for i, _ in lines))
+    block = of_frame(path, pd.DataFrame([row for _, row in rows], dtype=object), {}, "JSON")
+    return replace(block, lines=tuple(i for i, _ in rows))
+
+
+def _json(text: str) -> object:
+    """What a text of JSON holds; None where it is none."""
+    try:
+        value: object = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return value
 
 
 def _parquet(path: Path) -> Block:

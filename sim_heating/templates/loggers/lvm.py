@@ -15,10 +15,10 @@ from pathlib import Path
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path
-from sim_heating.templates.loggers.block import Block
+from sim_heating.heating.recorded.cells.block import Block
+from sim_heating.heating.recorded.cells.numbers import shown_cell
+from sim_heating.heating.recorded.cells.text import SEPARATORS, Row, split_lines
 from sim_heating.templates.loggers.files import chosen_name
-from sim_heating.templates.loggers.numbers import shown_cell
-from sim_heating.templates.loggers.text import SEPARATORS, Row, split_lines
 
 END = "***End_of_Header***"
 HEADER_KEYS = re.compile(r"Channels|Samples|Date|Time|[XY]_(Unit_Label|Dimension)|X0|Delta_X|Notes|(Test|UUT)_\w+")

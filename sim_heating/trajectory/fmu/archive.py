@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 
 import fmpy
 
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path
 from sim_heating.base.files.paths import os_error_reason
 from sim_heating.base.files.xml import LARGEST_BYTES, check_xml
@@ -138,7 +138,5 @@ def _entry_fault(entry: zipfile.ZipInfo) -> str | None:
 def _check_description(archive: zipfile.ZipFile, entry: str, root: str) -> None:
     if archive.getinfo(entry).file_size > LARGEST_BYTES:
         raise InputError(f"{entry} is larger than {LARGEST_BYTES / MIB:.0f} MiB")
-    try:
+    with error_context(entry):
         check_xml(archive.read(entry), root)
-    except InputError as error:
-        raise InputError(f"{entry}: {error}") from None

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,6 +110,15 @@ class Reading:
     convert: Conversion
 
 
+def _only_output(column: str, outputs: Sequence[str]) -> str | None:
+    """The output with the name of a column, or the only one with a usual name of it; else None."""
+    if column in outputs:
+        return column
+    by_letters = [(NOT_A_LETTER.sub("", name.lower()), name) for name in outputs]
+    names = [name for letters, name in by_letters if letters in USUAL_NAMES.get(column, ())]
+    return names[0] if len(names) == 1 else None
+
+
 class ColumnsOfFmu:
     """Converts the outputs of an FMU to the frames of a flight.
 
@@ -147,11 +156,10 @@ class ColumnsOfFmu:
                     readings.append(Reading(column, variable.name, convert))
                 except InputError as error:
                     problems += error.problems
-        if "mach" in spec.fmu.columns:
-            other = [", ".join(sorted(names)) for names in SPEEDS if names <= set(spec.fmu.columns)]
-            problems += [
-                f"[trajectory.fmu.columns]: `mach` and {o} both determine the speed; remove one" for o in other
-            ]
+        for names in SPEEDS:
+            if {"mach", *names} <= set(spec.fmu.columns):
+                other = ", ".join(sorted(names))
+                problems.append(f"[trajectory.fmu.columns]: `mach` and {other} both determine the speed; remove one")
         if problems:
             raise InputError(*problems)
         mapped = {r.column for r in readings} | set(self._constants)
@@ -164,22 +172,12 @@ class ColumnsOfFmu:
         """
         # A column that follows from mapped ones is not looked for by name: two sources of one quantity may disagree.
         mapped = mapped.union(*(derived for needed, derived in DERIVED_FROM if needed <= mapped))
-        exact: set[str] = set()
-        usual: dict[str, list[str]] = {}
-        for v in model.description.modelVariables:
-            if v.causality == "output" and v.name not in read:
-                exact.add(v.name)
-                usual.setdefault(NOT_A_LETTER.sub("", v.name.lower()), []).append(v.name)
+        outputs = [v.name for v in model.description.modelVariables if v.causality == "output" and v.name not in read]
         readings = []
         for column in COLUMNS:
-            if column in mapped:
-                continue
-            names = [n for usual_name in USUAL_NAMES.get(column, ()) for n in usual.get(usual_name, ())]
-            chosen = [column] if column in exact else names
             # A name that fits several outputs is left alone; a wrong guess would fly without a message.
-            if len(chosen) != 1:
+            if column in mapped or (name := _only_output(column, outputs)) is None:
                 continue
-            (name,) = chosen
             try:
                 convert = model.conversion(model.number(name, column), None, unit_of(column), column)
             except InputError:

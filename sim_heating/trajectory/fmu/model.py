@@ -214,9 +214,9 @@ def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
     for declared in interfaces.values():
         _check_identifier(name, declared)
     has = [kind for kind, declared in interfaces.items() if declared is not None]
-    chosen = interface or (has[0] if has else CO_SIMULATION)
+    chosen = interface or next(iter(has), CO_SIMULATION)
     if chosen not in has:
-        raise InputError(f"{name}: has no {chosen} interface" + (f"; it has {', '.join(has)}" if has else ""))
+        raise InputError(f"{name}: has no {chosen} interface" + f"; it has {', '.join(has)}" * bool(has))
     if twice := repeated_name([v.name for v in description.modelVariables]):
         raise InputError(f"{name}: {DESCRIPTION} is not valid: two variables are named `{twice}`")
     _check_library(name, archive.libraries(), interfaces[chosen].modelIdentifier, str(description.fmiVersion))
@@ -296,10 +296,15 @@ def accepted_value(variable: ModelVariable, value: Value) -> bool | int | float:
         raise InputError(f"`{text}` is not a number, and `{variable.name}` is a {variable.type}")
     if str(variable.type).startswith(("Real", "Float")):
         return value
-    lowest, highest = _range(str(variable.type))
+    return _whole_number(variable, value, *_range(str(variable.type)))
+
+
+def _whole_number(variable: ModelVariable, value: float, lowest: int, highest: int) -> int:
     # 1.5 would become the integer 1 without a message.
     if not lowest <= value <= highest or value != int(value):
-        raise InputError(f"`{text}` is not a whole number from {lowest} to {highest}, which `{variable.name}` requires")
+        raise InputError(
+            f"`{value}` is not a whole number from {lowest} to {highest}, which `{variable.name}` requires"
+        )
     return int(value)
 
 

@@ -14,7 +14,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import known_unit
-from sim_heating.templates.loggers.block import Block
+from sim_heating.heating.recorded.cells.block import Block
 
 BLANKS = "\u00a0\u202f'"
 """Thousands signs that are no decimal sign."""
@@ -123,20 +123,17 @@ def _sign_of(cell: str) -> tuple[bool, str] | None:
         return None
     last = signs[-1]
     if len(set(signs)) == 2:
-        return (
-            (True, last)
-            if signs.count(last) == 1 and re.fullmatch(r"[+-]?\d{1,3}(?:[.,]\d{3})+[.,]\d*", text)
-            else None
-        )
-    other = "." if last == "," else ","
+        is_grouped = re.fullmatch(r"[+-]?\d{1,3}(?:[.,]\d{3})+[.,]\d*", text)
+        return (True, last) if signs.count(last) == 1 and is_grouped else None
+    is_grouped = re.fullmatch(GROUPED.format(re.escape(last)), text)
     if len(signs) > 1:
-        return (True, other) if re.fullmatch(GROUPED.format(re.escape(last)), text) else None
-    return (False, last) if re.fullmatch(GROUPED.format(re.escape(last)), text) else (True, last)
+        return (True, _other_sign(last)) if is_grouped else None
+    return not is_grouped, last
 
 
 def _thousands(block: Block, columns: Sequence[int], decimal: str) -> str:
     """The thousands sign that cells show beside a decimal sign."""
-    other = "," if decimal == "." else "."
+    other = _other_sign(decimal)
     grouped = re.compile(GROUPED.format(re.escape(other)) + rf"(?:{re.escape(decimal)}\d*)?{EXPONENT}")
     return other if any(other in c and grouped.fullmatch(_bare(c)) for k in columns for c in block.column(k)) else ""
 
@@ -193,22 +190,17 @@ def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
     if set("".join(cells)) <= PLAIN_CHARACTERS and signs.decimal == "." and not signs.thousands:
         return _plain_numbers(cells)
     pattern, drop = signs.pattern, str.maketrans("", "", (signs.thousands or "") + BLANKS)
-    values = np.full(len(cells), math.nan)
-    units: set[str] = set()
     by_cell = {cell: _read(cell, pattern, drop, signs.decimal) for cell in dict.fromkeys(cells) if cell}
-    for i, cell in enumerate(cells):
-        if cell and not math.isnan(by_cell[cell][0]):
-            values[i], unit = by_cell[cell]
-            units.add(unit)
+    values = np.array([by_cell[cell][0] if cell else math.nan for cell in cells])
+    units = {unit for value, unit in by_cell.values() if not math.isnan(value)}
     texts = {cell: None for cell, (value, _) in by_cell.items() if math.isnan(value)}
     torn = next((i for i, cell in enumerate(cells) if cell in texts and TORN.match(cell)), -1)
-    if len(units) == 2 and "" in units and all(_is_code(v) for v, u in by_cell.values() if not u):
+    if len(units) == 2 and all(_is_code(v) for v, u in by_cell.values() if not u):
         units.discard("")  # the code of a lost sample states no unit
     if len(units) > 1 and torn < 0:
-        first = next(filter(None, cells))
-        torn = next(i for i, c in enumerate(cells) if c and by_cell[c][1] != by_cell[first][1])
-    unit = next(iter(units)) if len(units) == 1 else ""
-    return Numbers(values, unit, tuple(texts), torn)
+        unit_of = {i: by_cell[cell][1] for i, cell in enumerate(cells) if cell}
+        torn = next(i for i, unit in unit_of.items() if unit != next(iter(unit_of.values())))
+    return Numbers(values, units.pop() if len(units) == 1 else "", tuple(texts), torn)
 
 
 def _plain_numbers(cells: Sequence[str]) -> Numbers:

@@ -12,7 +12,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, read_text
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import converted, known_unit
-from sim_heating.templates.loggers.block import Block
+from sim_heating.heating.recorded.cells.block import Block
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", " ": "blanks"}
 """In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates."""
@@ -82,8 +82,12 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
         raise InputError(
             f"{display_path(path)}: no rows of numbers were found; give a file with a time and temperatures"
         )
-    sign = separator or _separator(numbered)
-    return rows_block(path, split_lines(numbered, sign), sign, recorder=recorder, lines=dict(numbered))
+    try:
+        sign = separator or _separator(numbered)
+        rows = split_lines(numbered, sign)
+    except csv.Error as error:  # such as a cell of more than 131072 characters
+        raise InputError(f"{display_path(path)}: cannot be read as a table ({error}); give a file of numbers") from None
+    return rows_block(path, rows, sign, recorder=recorder, lines=dict(numbered))
 
 
 def _recorder(lines: Sequence[tuple[int, str]]) -> str:
@@ -394,13 +398,10 @@ def _is_unit_row(cells: Sequence[str]) -> bool:
     full = [c.strip("[]()<> ") for c in cells if c.strip("[]()<> -")]
     if not full or any(is_number(c) and c != "1" for c in full):
         return False
-    usable = [any(converted(c, si) is not None for si in ("s", "K", "W/m2")) for c in full]
-    is_unit = [u or known_unit(c) is not None or _is_clock_word(c) for u, c in zip(usable, full, strict=True)]
-    return (
-        any(usable)
-        and sum(is_unit) >= 0.5 * len(full)
-        and not any(re.search(r"(?i)^(time|zeit|temp)", c) for c in full)
-    )
+    usable = [c for c in full if any(converted(c, si) is not None for si in ("s", "K", "W/m2"))]
+    units = [c for c in full if c in usable or known_unit(c) is not None or _is_clock_word(c)]
+    is_name = re.compile(r"(?i)^(time|zeit|temp)").search
+    return bool(usable) and len(units) >= 0.5 * len(full) and not any(map(is_name, full))
 
 
 def _is_clock_word(cell: str) -> bool:
