@@ -38,6 +38,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_effects,
     fitted_values,
     sample_count,
+    with_flight_scale,
 )
 from sim_heating.closure.statement import closure_of, is_exact, joint_closure_of, probability_of
 from sim_heating.closure.verdict.policy import POLICY
@@ -187,9 +188,12 @@ def _before(result: SearchResult) -> Prediction:
 
 
 def _declared(result: SearchResult) -> FitResult:
-    """The declared model as the last fit is compared with it: of a model with an error, with the same error free."""
-    none = result.none.last
-    return result.before if is_exact(none) else _with_error(result.record, none)
+    """The declared model as the last fit is compared with it: of a model with an error, with the same error free, and
+    as wide."""
+    none, compared = result.none.last, result.compared.last.record_fit.model_error
+    if is_exact(none):
+        return result.before
+    return _with_error(result.record, none if compared is None else with_flight_scale(none, compared.flight_scale))
 
 
 def _with_error(record: Record, trial: TrialFit) -> FitResult:

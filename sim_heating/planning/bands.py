@@ -195,7 +195,7 @@ def heating_sizes(prior: HeatingErrorPrior | None, member: Member) -> ErrorSize 
     if prior is None or prior.relative == 0.0:
         return None
     sizes, times_s, log_weight = prior.grid()
-    return ErrorSize(sizes, times_s, np.zeros_like(log_weight), log_weight)
+    return ErrorSize(sizes, times_s, np.ones(1), np.zeros((1, *log_weight.shape)), log_weight[np.newaxis])
 
 
 def spreads(
@@ -241,7 +241,7 @@ def spreads(
     if sizes is not None:
         flux = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
         heated_s = flown.time_s[flux >= HEATED * np.max(flux)]
-        shortest_s = float(np.min(sizes.times_s[np.sum(sizes.posterior, axis=1) > LEAST_TIME]))
+        shortest_s = float(np.min(sizes.times_s[np.sum(sizes.posterior_of_heating, axis=1) > LEAST_TIME]))
         count = int(np.ceil(np.ptp(heated_s) / shortest_s * KNOTS_A_TIME)) + 1
         knots = np.linspace(heated_s[0], heated_s[-1], min(max(count, 2), MOST_KNOTS))
         variants += [(central, c) for c in scaled_heating(flown, knots)]
@@ -273,7 +273,7 @@ def _with_model_error(
 
     Source: docs/theory/model_error.md, equations 1, 5 and 14.
     """
-    response, probability = np.moveaxis(changes_K, 0, -1) / STEP, known.posterior
+    response, probability = np.moveaxis(changes_K, 0, -1) / STEP, known.posterior_of_heating
     roots = [correlation_root(knots_s, float(tau), smooth=known.smooth) for tau in known.times_s]
     by_time = np.array([np.sum((response @ root) ** 2, axis=-1) for root in roots])
     weights = np.sum(probability, axis=0)

@@ -6,11 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.stats import chi2
 
 from sim_heating.closure.close import close_loop
 from sim_heating.closure.prior.changed_flight import shift_conditions
-from sim_heating.closure.prior.model_error import flight_error, heating_error_prior
+from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
 from sim_heating.closure.report.record import closure_json
+from sim_heating.closure.search.hypothesis import NOT_PREDICTED, fitted_anew, hypothesis, scored
+from sim_heating.closure.search.joint_search import with_common_flights
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.trials.told_error import told_error
 from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, with_own_error
@@ -18,6 +22,7 @@ from sim_heating.estimation.inference.error_likelihood import model_error
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import BY_CONFIDENCE, FlightUncertainty, HeatingUncertainty, load_record
+from tests.support.few_candidates import searched_among
 from tests.support.paths import ROOT
 
 RECORDS = ROOT / "scenarios" / "records"
@@ -97,6 +102,87 @@ def test_a_stated_uncertainty_is_used_whether_measured_or_not():
     exact = replace(record, declared=record.declared.model_copy(update={"heating": none}))
     assert heating_error_prior(exact) is None
     assert heating_error_prior(as_measured(exact)).relative == 0.0  # its flight has an error
+
+
+def with_flight_uncertainty(record, **stated):
+    conditions = record.declared.conditions.model_copy(update={"uncertainty": FlightUncertainty(**stated)})
+    return replace(record, declared=record.declared.model_copy(update={"conditions": conditions}))
+
+
+def test_what_is_stated_of_a_flight_may_be_too_small_and_no_default():
+    record = load_record(RECORDS / "practice" / "p06")
+    stated = flight_scales(with_flight_uncertainty(record, velocity_relative=0.003))
+    # a sigma with three degrees of freedom is an error of Student's t distribution, whose tails these masses have
+    cut = [np.sqrt(2.0), 2.0 * np.sqrt(2.0)]
+    larger = [chi2(3).cdf(3.0 / c**2) for c in cut]
+    assert list(stated.values()) == pytest.approx([1.0 - larger[0], larger[0] - larger[1], larger[1]])
+    for believed in (record, as_measured(record), load_record(RECORDS / "sts96_597")):
+        assert flight_scales(believed) == {1.0: 1.0}
+
+
+def test_density_error_scatters_between_its_knots_as_at_them():
+    flight = flight_error(load_record(RECORDS / "sts96_597"))
+    row, sigma = flight.rows["density_relative"]
+    z = flight.altitudes_m
+    middle = 0.5 * (row[1:] + row[:-1])  # what the line between two knots has there
+    assert np.max(np.diff(z)) <= flight.uncertainty.density_scale_m / 3.0
+    np.testing.assert_allclose(np.linalg.norm(row, axis=1), sigma)
+    assert np.min(np.linalg.norm(middle, axis=1)) > 0.9 * sigma
+
+
+@pytest.mark.thorough
+def test_points_of_a_flight_that_is_stated_too_well_share_one_wider_error():
+    """Two points of a flight that was four of its stated sigmas longer and in other air."""
+    record = with_flight_uncertainty(
+        load_record(RECORDS / "practice" / "p06"), time_shift_s=10.0, time_stretch=0.003, density_relative=0.03
+    )
+    flight = flight_error(record)
+    alone = []
+    for name in ("one", "other"):
+        stated = replace(flight.record(4.0 * np.ones(len(flight.directions))), label=name)
+        search = searched_among(stated, ("time-skew",))
+        none = fitted_anew(search.none, with_own_error(search.none.last))
+        conclusion = replace(search.conclusion, finding="none", best=none)
+        alone.append(replace(search, none=none, conclusion=conclusion))
+    assert all(r.none.last.size.likeliest[2] > 1.0 for r in alone)
+    parts = [base.record_fit for base in with_common_flights(alone)]
+    assert parts[0].model_error.flight_scale == parts[1].model_error.flight_scale > 1.0
+    assert parts[0].flight_names == parts[1].flight_names != ()
+
+
+def test_a_clock_that_is_stated_too_well_may_be_off_by_more():
+    record = with_flight_uncertainty(load_record(RECORDS / "practice" / "p06"), time_shift_s=0.6)
+    clock = clock_prior(record, 0.25)
+    assert clock.sigma == 0.6
+    assert clock.upper > 3.0 * 2.0 * clock.sigma
+
+
+def cause_that_predicts_worse(none, lost):
+    """A fit that makes the readings held out less likely by some nats than the declared model of a record does."""
+    scale = max(1.0, none.last.held_out_chi2)
+    step = np.eye(len(none.last.fit.values))[none.last.fit.names.index("ratio.scale")] * 0.002
+
+    def shifted(by):
+        last = none.last
+        fit = replace(last.fit, values=last.fit.values + by * step)
+        return replace(last, name="catalysis", fit=fit)
+
+    def loss(by):
+        return (none.last.held_out_log_likelihood - shifted(by).held_out_log_likelihood) / scale
+
+    return hypothesis([shifted(brentq(lambda by: loss(by) - lost, 0.1, 1000.0, xtol=1e-3))], {"catalysis": 1})
+
+
+@pytest.mark.parametrize(("stated", "odds"), [(None, np.e), (HeatingUncertainty(relative=0.02), 20.0)])
+def test_readings_held_out_speak_against_a_cause_from_stated_odds_on(stated, odds):
+    """An exact model may predict them worse by a factor of e, one with an error by 20: its predictions scatter."""
+    record = load_record(RECORDS / "practice" / "p06")
+    heating = record.declared.heating.model_copy(update={"uncertainty": stated})
+    record = replace(record, declared=record.declared.model_copy(update={"heating": heating}))
+    none = hypothesis([base_trial(declared_fit(record))], {})
+    for worse, is_barred in ((0.9 * odds, False), (1.1 * odds, True)):
+        (judged,) = scored(none, [cause_that_predicts_worse(none, np.log(worse))])
+        assert (NOT_PREDICTED[0] in judged.objections) is is_barred
 
 
 def test_the_error_of_a_flight_follows_from_the_confidence_of_its_conditions():

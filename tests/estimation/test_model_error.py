@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_triangular
 from scipy.stats import multivariate_normal
 
 from sim_heating.closure.prior.model_error import flight_error
@@ -47,9 +48,14 @@ AT = np.array([0.03, 1e-4])
 def dense(problem, vector):
     """Residuals [K] in the order of the channels, and their covariance [K2]."""
     part, samples = problem.record_fits[0], problem.samples(vector)
-    read = np.concatenate([0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) for s in samples])
     G = part.error_root_K
-    return read - np.concatenate([s.mean_K for s in samples]), G @ G.T + np.diag(part.reading_noise_K**2)
+    residual = read_K(samples) - np.concatenate([s.mean_K for s in samples])
+    return residual, G @ G.T + np.diag(part.reading_noise_K**2)
+
+
+def read_K(samples):
+    """Readings of all channels [K]."""
+    return np.concatenate([0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) for s in samples])
 
 
 def test_the_likelihood_is_that_of_the_dense_covariance(problem):
@@ -219,6 +225,65 @@ def test_flight_error_has_one_likelihood_estimated_or_integrated_out(flown):
     volume = -0.5 * np.linalg.slogdet(M)[1]
     assert largest + volume == pytest.approx(flown.evaluate(scale).log_likelihood, rel=1e-9)
     np.testing.assert_allclose(flown.record_fits[0].model_error.along_flight(flown.errors(scale)[0]), f, atol=1e-6)
+
+
+SCALES = {1.0: 0.68, 2.0: 0.26, 4.0: 0.06}
+
+
+def error_size_at(problem, samples, free=(False,), of_flight=(False,), sigma=0.1):
+    """What readings say of the size of the errors about the middle of the prior of the one parameter."""
+    towards = np.array([sigma**-2.0]), np.zeros(1)
+    prior = HeatingErrorPrior(0.05, CORRELATION_S, CORRELATION_S)
+    return error_size(problem.record_fits[0], samples, towards, np.array(free), prior, SCALES, np.array(of_flight))
+
+
+@pytest.mark.parametrize("is_clock", [False, True], ids=["flight alone", "a parameter with it"])
+def test_evidence_of_a_wider_flight_is_that_of_the_dense_covariance(flown, is_clock):
+    part, at = flown.record_fits[0], np.zeros(1)
+    size = error_size_at(flown, flown.samples(at), (is_clock,), (is_clock,))
+    J = np.concatenate([s.sensitivity for s in flown.samples(at)])
+    S, F = part.error_responses_K
+    residual, expected = read_K(flown.samples(at)) - np.concatenate([s.mean_K for s in flown.samples(at)]), []
+    for c in (1.0, 4.0):
+        L = size.sizes[6] * part.model_error.correlation_root
+        root = np.column_stack([S @ L, c * F, *([c * 0.1 * J] if is_clock else [])])
+        lower = np.linalg.cholesky(root @ root.T + np.diag(part.reading_noise_K**2))
+        white = solve_triangular(lower, residual, lower=True)
+        expected.append(-0.5 * white @ white - np.sum(np.log(np.diag(lower))))
+    # those of equation 5 leave out what all models of a record have alike
+    found = size.log_likelihood[[0, 2], 0, 6]
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("sigmas", "likeliest"), [(1.0, 1.0), (2.0, 2.0), (5.0, 4.0)])
+def test_a_flight_further_off_than_stated_says_so(flown, sigmas, likeliest):
+    part, at = flown.record_fits[0], np.zeros(1)
+    F, first, made = part.error_responses_K[1], 0, []
+    signs = np.resize([1.0, -1.0], F.shape[1])
+    rng = np.random.default_rng(7)
+    for s in flown.samples(at):
+        moved_K = F[first : first + len(s.mean_K)] @ (sigmas * signs)
+        first += len(s.mean_K)
+        read = s.mean_K + moved_K + s.sigma_K * rng.standard_normal(len(s.mean_K))
+        made.append(
+            replace(s, channel=replace(s.channel, intervals=replace(s.channel.intervals, lower_K=read, upper_K=read)))
+        )
+    told = error_size_at(flown, made).posterior_of_scale
+    assert max(told, key=told.get) == likeliest
+    assert sum(told.values()) == pytest.approx(1.0)
+
+
+def test_an_error_of_a_wider_flight_is_that_of_wider_sigmas(flown):
+    error = flown.record_fits[0].model_error
+    wider = error.of_size(error.sigma, error.correlation_s, 2.0)
+    f = 0.3 * np.ones(len(error.flight.directions))
+    for name in ("h_ref_kg_m2_s", "H_r_J_kg"):
+        np.testing.assert_allclose(
+            wider.flight.record(f).conditions[name], error.flight.record(2.0 * f).conditions[name], rtol=1e-12
+        )
+    np.testing.assert_allclose(wider.flight_K, 2.0 * error.flight_K)
+    back = wider.of_size(error.sigma, error.correlation_s, 1.0)
+    np.testing.assert_allclose(back.flight_K, error.flight_K)
 
 
 def test_two_points_of_one_flight_tell_its_error_better_than_one(flown):

@@ -6,15 +6,18 @@ the model of a record that was generated and states none is exact.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import chdtrc
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.prior.changed_flight import ANGLES, shift_conditions, with_alpha, with_density, with_velocity
+from sim_heating.estimation.inference.error_likelihood import AS_STATED
 from sim_heating.estimation.inference.model_error import HeatingErrorPrior
 from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.inputs.points import conditions_of_record
@@ -32,6 +35,20 @@ the flight's error could not say it.
 
 MEASURED_FLIGHT = HeatingErrorPrior()
 """Error of the heating of a measured flight that states none."""
+FLIGHT_SCALES = (1.0, 2.0, 4.0)
+"""Factors by which the standard deviations that a flight states may be too small."""
+KNOTS_A_SCALE, MOST_KNOTS = 3.0, 100
+"""Knots of the density's error in each length that it is correlated over, and their intervals at most.
+
+The line between knots a distance h apart leaves out tanh(h / 2) of its variance at the middle, h over that length.
+"""
+STATED_DOF = 3.0
+"""Degrees of freedom of a standard deviation that a flight states: it is itself known to 40 % (JCGM 100:2008, G.4.2).
+
+Differences between measurements of one quantity, over their stated uncertainties, have Student's t distribution with
+few of them, often near one (D. C. Bailey, "Not Normal: the uncertainties of scientific measurements", R. Soc. Open Sci.
+4 (2017) 160600).
+"""
 
 
 def heating_error_prior(record: Record) -> HeatingErrorPrior | None:
@@ -49,6 +66,19 @@ def heating_error_prior(record: Record) -> HeatingErrorPrior | None:
     return HeatingErrorPrior(stated.relative, stated.correlation_s, stated.correlation_s)
 
 
+def flight_scales(record: Record) -> Mapping[float, float]:
+    """Factor on the standard deviations of a record's flight -> its prior probability [-].
+
+    Those that a record states may be too small; those that follow from a confidence are judged to be wide enough.
+    Source: docs/theory/model_error.md, equation 5a.
+    """
+    if record.declared.conditions.uncertainty is None or flight_error(record) is None:
+        return AS_STATED
+    c = np.array(FLIGHT_SCALES)
+    smaller = chdtrc(STATED_DOF, STATED_DOF / (c[1:] * c[:-1]))
+    return dict(zip(FLIGHT_SCALES, np.diff(smaller, prepend=0.0, append=1.0).tolist(), strict=True))
+
+
 def flight_error(record: Record) -> SmoothFlightError | None:
     """The error of a record's flight; None for a test without flow, and where the flight is exact."""
     stated = record.declared.conditions.uncertainty
@@ -56,8 +86,9 @@ def flight_error(record: Record) -> SmoothFlightError | None:
         stated = BY_CONFIDENCE.get(record.declared.conditions.confidence[:1], BY_CONFIDENCE["B"])
     if stated is None or not record.has_flow:
         return None
-    z, scale = record.conditions["altitude_m"], stated.density_scale_m
-    error = SmoothFlightError(record, stated, np.arange(z.min(), z.max() + scale, scale))
+    z = record.conditions["altitude_m"]
+    count = min(math.ceil(KNOTS_A_SCALE * (z.max() - z.min()) / stated.density_scale_m), MOST_KNOTS)
+    error = SmoothFlightError(record, stated, np.linspace(z.min(), z.max(), max(count, 1) + 1))
     return error if error.directions or error.has_one_clock else None
 
 
@@ -69,13 +100,14 @@ def clock_prior(record: Record, agreement_s: float, *, clock_sigmas: float = 3.0
     It is as uncertain as the time of the flight, where that is known to SKEW_SPAN_S. A shift moves the answer to a
     manoeuvre by more than a derivative can say, so that it is a parameter of the march. A flight whose time is less
     well known is not the one that was flown: its heating is then earlier or later than its angles say.
-    clock_sigmas : standard deviations by which the clock of a flight may be off, as far as the record allows
+    clock_sigmas : standard deviations by which the clock of a flight may be off, as far as the record allows; these may
+        be wider than stated
     """
     error = flight_error(record)
     if error is None or not error.has_one_clock:
         return replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)
     sigma_s = error.uncertainty.time_shift_s
-    limit_s = min(max(clock_sigmas * sigma_s, agreement_s), SKEW_SPAN_S)
+    limit_s = min(max(clock_sigmas * max(flight_scales(record)) * sigma_s, agreement_s), SKEW_SPAN_S)
     return replace(CLOCK_SKEW, sigma=sigma_s, lower=-limit_s, upper=limit_s)
 
 
@@ -87,11 +119,17 @@ class SmoothFlightError:
     uncertainty : one standard deviation of each; the logarithm of the density is a first-order Gauss-Markov process
                   along the altitude
     altitudes_m : (knot,) that it is linear between [m]
+    scale       : factor on the standard deviations as stated [-]
     """
 
     flown: Record
     uncertainty: FlightUncertainty
     altitudes_m: FloatArray
+    scale: float = 1.0
+
+    def of_scale(self, scale: float) -> SmoothFlightError:
+        """This error with another factor on the standard deviations as stated [-]."""
+        return replace(self, scale=scale)
 
     @property
     def has_one_clock(self) -> bool:
@@ -110,7 +148,7 @@ class SmoothFlightError:
             ("velocity_relative", u.velocity_relative), ("alpha_bias_deg", u.alpha_deg),
         ]  # fmt: skip
         density = [(DENSITY, u.density_relative)] * len(self.altitudes_m)
-        return [(name, sigma) for name, sigma in (*single, *density) if sigma > 0.0]
+        return [(name, self.scale * sigma) for name, sigma in (*single, *density) if sigma > 0.0]
 
     @cached_property
     def _density_root(self) -> FloatArray:
@@ -129,8 +167,9 @@ class SmoothFlightError:
         of_density = [i for i, n in enumerate(names) if n == DENSITY]
         if of_density:
             rows = np.zeros((len(of_density), count))
-            rows[:, of_density] = self.uncertainty.density_relative * self._density_root
-            rows_by_name[DENSITY] = rows, self.uncertainty.density_relative
+            sigma = self.scale * self.uncertainty.density_relative
+            rows[:, of_density] = sigma * self._density_root
+            rows_by_name[DENSITY] = rows, sigma
         return rows_by_name
 
     def record(self, f: FloatArray) -> Record:

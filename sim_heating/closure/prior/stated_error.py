@@ -35,8 +35,23 @@ class OtherFlight:
     @cached_property
     def directions(self) -> list[tuple[str, float]]:
         """(direction,) what differs, and its standard deviation in its unit."""
-        clock = [("time_shift_s", self.error.uncertainty.time_shift_s)] if self.error.has_one_clock else []
+        clock = [("time_shift_s", self._shift_s)] if self.error.has_one_clock else []
         return [*self.error.directions, *clock]
+
+    @property
+    def _shift_s(self) -> float:
+        """One standard deviation of the clock [s]."""
+        return self.scale * self.error.uncertainty.time_shift_s
+
+    @property
+    def scale(self) -> float:
+        """Factor on the standard deviations as stated [-]: c of docs/theory/model_error.md, equation 5a."""
+        return self.error.scale
+
+    def of_scale(self, scale: float) -> OtherFlight:
+        """This error with another factor on the standard deviations as stated [-]: docs/theory/model_error.md, equation
+        5a."""
+        return replace(self, error=self.error.of_scale(scale))
 
     def record(self, f: FloatArray) -> Record:
         """The record along the flight that differs; f : (direction,) by how many standard deviations [-]."""
@@ -47,7 +62,7 @@ class OtherFlight:
             turned = other.conditions.with_columns(alpha_deg=other.conditions["alpha_deg"] + bias_deg)
             other = replace(other, conditions=turned)
         if self.error.has_one_clock:
-            other = shift_conditions(other, float(f[-1]) * self.error.uncertainty.time_shift_s)
+            other = shift_conditions(other, float(f[-1]) * self._shift_s)
         return other
 
 

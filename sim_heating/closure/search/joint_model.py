@@ -25,7 +25,7 @@ from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, RECORD_PARAME
 from sim_heating.closure.prior.model_error import flight_error
 from sim_heating.closure.search.changes.record_change import changed_trial
 from sim_heating.closure.search.ranking import scatter_price
-from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import (
     CONVERGE,
@@ -100,7 +100,7 @@ class Cause:
         return f"<Cause {' + '.join(self.names)}: {', '.join(self.candidate.names)}>"
 
 
-NO_CAUSE = Cause((), "", ())
+NO_CAUSE = Cause((), "", (NO_EFFECT,))
 """Of the declared models, which have the error of their flight in common."""
 
 

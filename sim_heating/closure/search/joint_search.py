@@ -17,6 +17,7 @@ import numpy as np
 
 from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.closure.prior.model_error import flight_scales
 from sim_heating.closure.search.evidence import Evidence, applies, evidence_of_records, evidence_without_cause
 from sim_heating.closure.search.hypothesis import Compared, Conclusion, Hypothesis, conclude, joint_hypothesis, scored
 from sim_heating.closure.search.joint_model import (
@@ -98,9 +99,10 @@ def search_jointly(alone: Sequence[SearchResult], *, progress: Progress = no_pro
 def with_common_flights(alone: Sequence[SearchResult]) -> list[TrialFit]:
     """The declared models of records that were searched by themselves, those of one flight with one error of it.
 
-    The error of a record's heating is as large as with the best model of its own search.
+    The error of a record's heating is as large as with the best model of its own search, that of a flight as all its
+    records say.
     """
-    bases = [_with_size(result) for result in alone]
+    bases = [_with_size(result, _flight_scale(result.record.flight, alone)) for result in alone]
     flights = [b.record_fit.record.flight for b in bases]
     shared = [
         b if flights.count(flight) < 2 else replace(
@@ -121,13 +123,31 @@ def with_common_flights(alone: Sequence[SearchResult]) -> list[TrialFit]:
     return shared
 
 
-def _with_size(result: SearchResult) -> TrialFit:
-    """The declared model with the error as large as with the best model of a record's own search."""
+def _flight_scale(flight: str, alone: Sequence[SearchResult]) -> float:
+    """Most probable factor on the standard deviations that are stated of a flight, by the best models of its records.
+
+    Each record speaks for itself, and the prior counts once. Records that state different things are believed.
+    """
+    of_flight = [r for r in alone if r.record.flight == flight]
+    prior = flight_scales(of_flight[0].record)
+    sizes = [size for r in of_flight if (size := r.compared.last.size) is not None]
+    if any(size.scales.tolist() != list(prior) for size in sizes):
+        return 1.0
+    total = np.log(list(prior.values())) + sum(size.log_likelihood_of_scale for size in sizes)
+    return list(prior)[int(np.argmax(total))]
+
+
+def _with_size(result: SearchResult, flight_scale: float) -> TrialFit:
+    """The declared model with the error as large as with the best model of a record's own search.
+
+    flight_scale : factor on the standard deviations that are stated of its flight [-]
+    """
     base, size = result.base, result.compared.last.size
     error = base.record_fit.model_error
     if size is None or error is None:
         return base
-    return replace(with_error(base, error.of_size(*size.likeliest)), size=size)
+    sigma, correlation_s, _ = size.likeliest
+    return replace(with_error(base, error.of_size(sigma, correlation_s, flight_scale)), size=size)
 
 
 def _hypotheses(fits: Sequence[tuple[JointModel, Fit]], bases: Sequence[TrialFit]) -> list[Hypothesis]:

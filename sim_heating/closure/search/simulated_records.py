@@ -1,8 +1,8 @@
 """p-value of a model with an error: its statistic among those of records that are made with it.
 
 The calibrated distribution of the statistic (adequacy.py) is that of exact models. With an error, a coarse recorder
-word or slow noise it is another one. So records are made with the model: sizes of the heating's error from what the
-readings say of it, an error, noise and rounding drawn, and judged as the record itself is.
+word or slow noise it is another one. So records are made with the model: sizes of the heating's and the flight's error
+from what the readings say of them, an error, noise and rounding drawn, and judged as the record itself is.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy, members: int = 1
     rng, probability = np.random.default_rng(20261128), size.posterior
     drawn = rng.choice(probability.size, size=records, p=probability.ravel())
     indices = zip(*np.unravel_index(drawn, probability.shape), strict=True)
-    errors = [record_fit.model_error.of_size(float(size.sizes[k]), float(size.times_s[i])) for i, k in indices]
+    errors = [
+        record_fit.model_error.of_size(float(size.sizes[k]), float(size.times_s[i]), float(size.scales[j]))
+        for j, i, k in indices
+    ]
     count = record_fit.error_responses_K[1].shape[1] + len(record_fit.model_error.time_s)
     u = rng.standard_normal((records, count))
     fitted = _read(record_fit, trial.problem.samples(trial.fit.values), errors, u, rng)
@@ -61,10 +64,13 @@ def _read(
 
     u : (error, unknown) in standard deviations [-]
     """
-    S, F = record_fit.error_responses_K
-    ends, readings = np.cumsum([len(s.mean_K) for s in samples])[:-1], []
+    (S, F), own = record_fit.error_responses_K, record_fit.model_error
+    assert own is not None  # the caller's record has one
+    ends, readings, directions = np.cumsum([len(s.mean_K) for s in samples])[:-1], [], own.flight_K.shape[-1]
     for error, unknowns in zip(errors, u, strict=True):
-        moved = np.split(S @ error.heating(unknowns) + F @ unknowns[len(error.time_s) :], ends)
+        others = unknowns[len(error.time_s) :].copy()
+        others[:directions] *= error.flight_scale / own.flight_scale
+        moved = np.split(S @ error.heating(unknowns) + F @ others, ends)
         channels = []
         for s, d in zip(samples, moved, strict=True):
             read = s.mean_K + d + s.sigma_K * rng.standard_normal(len(s.mean_K))

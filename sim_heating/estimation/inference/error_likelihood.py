@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -28,8 +28,11 @@ from sim_heating.inputs.points import conditions_of_record
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import LinearMarch
 
-SPACING_S, MOST_KNOTS = 20.0, 100
-"""Least distance of knots [s], a third of the shortest correlation time, and their largest number."""
+SPACING_S, MOST_KNOTS = 10.0, 200
+"""Least distance of knots [s], a sixth of the shortest correlation time, and their largest number.
+
+The line between knots leaves out tanh(1 / 12) = 8 % of the variance of that process at its middle.
+"""
 STEP = 0.02
 """Relative change of the heating for the derivative of the readings [-]."""
 KNOTS_A_TIME = 4.0
@@ -41,6 +44,8 @@ MEMORY = 8
 """Steps that the curvature of the inner iteration is taken from."""
 TOGETHER = 64
 """Readings that the filter takes at a time."""
+AS_STATED: Mapping[float, float] = {1.0: 1.0}
+"""Prior of the factor on the flight's standard deviations where these are believed as they are stated."""
 
 
 def model_error(
@@ -435,18 +440,22 @@ def error_size(
     towards_prior: tuple[FloatArray, FloatArray],
     free: BoolArray,
     prior: HeatingErrorPrior,
+    scales: Mapping[float, float] = AS_STATED,
+    of_flight: BoolArray | None = None,
 ) -> ErrorSize:
-    """What the readings say of the size of the heating's error, about a fitted model.
+    """What the readings say of the size of the heating's error and of the flight's, about a fitted model.
 
     record_fit    : the record with its error;  samples : its channels at the values of the fit, with sensitivities
     towards_prior : (parameter,) prior information of the parameters, and the distance of the means of their priors
     free          : (parameter,) whether a parameter may move from its value
     prior         : of the size
+    scales        : factor on the standard deviations of the flight as stated [-] -> its prior probability [-]
+    of_flight     : (parameter,) whether its prior is one of these standard deviations; None for no parameter
 
     The model is linear in its parameters here, and a rounded reading counts as one with the noise of its rounding. With
     s_k, U_k the singular values and left vectors of R^-1/2 S L / s, the covariance that the heating's error gives is
     1 + s^2 U diag(s_k^2) U'; that of the flight is integrated out with the parameters. Source:
-    docs/theory/model_error.md, equation 5.
+    docs/theory/model_error.md, equations 5 and 5a.
     """
     error = record_fit.model_error
     assert error is not None  # the caller's records have one
@@ -454,26 +463,38 @@ def error_size(
     read = np.concatenate([_middle_K(s.channel.intervals) for s in samples])
     mean_K = np.concatenate([s.mean_K for s in samples])
     S, F = record_fit.error_responses_K
-    sensitivity = np.concatenate([s.sensitivity for s in samples])[:, free]
+    # parameters that the flight's error has are integrated out with it, and come next to it
+    is_clock = np.zeros(len(free), dtype=bool) if of_flight is None else of_flight & free
+    order = np.concatenate([np.flatnonzero(is_clock), np.flatnonzero(free & ~is_clock)])
+    sensitivity = np.concatenate([s.sensitivity for s in samples])[:, order]
     is_read = np.isfinite(read)
-    scale = noise[is_read, np.newaxis]
-    r, S = (read - mean_K)[is_read] / noise[is_read], S[is_read] / scale
-    J = np.column_stack([F[is_read], sensitivity[is_read]]) / scale
-    flight = F.shape[1]
-    information = np.append(np.ones(flight), towards_prior[0][free])
-    distance = np.append(np.zeros(flight), towards_prior[1][free])
+    noise_K = noise[is_read, np.newaxis]
+    r, S = (read - mean_K)[is_read] / noise[is_read], S[is_read] / noise_K
+    J = np.column_stack([F[is_read], sensitivity[is_read]]) / noise_K
+    others, clocks = F.shape[1], int(np.count_nonzero(is_clock))
+    drawn, directions = others + clocks, error.flight_K.shape[-1] - len(record_fit.flight_names)
+    information = np.append(np.ones(others), towards_prior[0][order])
+    distance = np.append(np.zeros(others), towards_prior[1][order])
+    wider = np.ones((len(scales), len(information)))
+    wider[:, :directions] = (np.array(list(scales)) / error.flight_scale)[:, np.newaxis]
+    wider[:, others:drawn] = np.array(list(scales))[:, np.newaxis]
     sizes, times_s, weights = prior.grid()
-    log_likelihood = np.empty(weights.shape)
+    log_weight = np.log(list(scales.values()))[:, np.newaxis, np.newaxis] + weights
+    log_likelihood = np.empty(log_weight.shape)
     for i, tau in enumerate(times_s):
         U, singular, _ = np.linalg.svd(S @ error.of_size(1.0, tau).correlation_root, full_matrices=False)
         Ur, UJ = U.T @ r, U.T @ J
         for k, size in enumerate(sizes):
             variance = (size * singular) ** 2
             explained = variance / (1.0 + variance)
-            M = J.T @ J - (UJ * explained[:, np.newaxis]).T @ UJ + np.diag(information)
-            g = J.T @ r - UJ.T @ (explained * Ur) + information * distance
-            square = float(r @ r - Ur @ (explained * Ur)) + float(information @ distance**2)
-            step = np.linalg.lstsq(M, g, rcond=None)[0]
-            volume = float(np.sum(np.log1p(variance))) + float(np.linalg.slogdet(M[:flight, :flight])[1])
-            log_likelihood[i, k] = -0.5 * (square - float(g @ step) + volume)
-    return ErrorSize(sizes, times_s, log_likelihood, weights, error.smooth)
+            M_read = J.T @ J - (UJ * explained[:, np.newaxis]).T @ UJ
+            g_read = J.T @ r - UJ.T @ (explained * Ur)
+            square_read = float(r @ r - Ur @ (explained * Ur)) + float(np.sum(np.log1p(variance)))
+            for j, factors in enumerate(wider):
+                known = information / factors**2
+                M, g = M_read + np.diag(known), g_read + known * distance
+                step = np.linalg.lstsq(M, g, rcond=None)[0]
+                volume = float(np.linalg.slogdet(M[:drawn, :drawn])[1]) + 2.0 * float(np.sum(np.log(factors)))
+                square = square_read + float(known @ distance**2)
+                log_likelihood[j, i, k] = -0.5 * (square - float(g @ step) + volume)
+    return ErrorSize(sizes, times_s, np.array(list(scales)), log_likelihood, log_weight, error.smooth)

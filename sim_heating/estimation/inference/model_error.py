@@ -87,6 +87,16 @@ class FlightError(Protocol):
     """Directions in which the flight of a record may be other than its conditions state."""
 
     @property
+    def scale(self) -> float:
+        """Factor on the standard deviations as stated [-]: c of docs/theory/model_error.md, equation 5a."""
+
+    def of_scale(self, scale: float) -> FlightError:
+        """This error with another factor on the standard deviations as stated [-].
+
+        Source: docs/theory/model_error.md, equation 5a.
+        """
+
+    @property
     def directions(self) -> Sequence[tuple[str, float]]:
         """(direction,) what differs, as in a closure report, and its standard deviation in [s], [-] or [deg].
 
@@ -235,12 +245,26 @@ class ModelError:
         """
         return correlation_root(self.time_s, self.correlation_s, smooth=self.smooth)
 
-    def of_size(self, sigma: float, correlation_s: float) -> ModelError:
+    @property
+    def flight_scale(self) -> float:
+        """Factor on the standard deviations of the flight as stated [-]; 1 where the flight has no error.
+
+        c of docs/theory/model_error.md, equation 5a.
+        """
+        return 1.0 if self.flight is None else self.flight.scale
+
+    def of_size(self, sigma: float, correlation_s: float, flight_scale: float | None = None) -> ModelError:
         """This error with another standard deviation [-] and correlation time [s] of the heating.
 
-        s and tau of docs/theory/model_error.md, equation 1.
+        flight_scale : factor on the standard deviations of the flight as stated [-]; by default as it is
+
+        s and tau of docs/theory/model_error.md, equation 1, and c of equation 5a.
         """
-        return replace(self, sigma=sigma, correlation_s=correlation_s)
+        sized = replace(self, sigma=sigma, correlation_s=correlation_s)
+        if self.flight is None or flight_scale in (None, self.flight_scale):
+            return sized
+        wider = flight_scale / self.flight_scale
+        return replace(sized, flight=self.flight.of_scale(flight_scale), flight_K=wider * self.flight_K)
 
     def heating(self, u: FloatArray) -> FloatArray:
         """(knot,) relative error of the heating [-] by the (unknown,) u of the error [-].
@@ -288,51 +312,81 @@ class ModelError:
 
 @dataclass(frozen=True, eq=False)
 class ErrorSize:
-    """What the readings of a record say of the size of its heating's error, with a model of the record.
+    """What the readings of a record say of the size of its model's error, with a model of the record.
 
-    sizes  : (size,) standard deviations [-];  times_s : (time,) correlation times [s]
-    log_likelihood : (time, size) largest over the parameters, the error integrated out
-    log_weight     : (time, size) of the prior
-    smooth         : whether that error has no corners
+    sizes  : (size,) standard deviations of the heating's [-];  times_s : (time,) its correlation times [s]
+    scales : (scale,) factors on the standard deviations of the flight as stated [-]
+    log_likelihood : (scale, time, size) largest over the parameters, the error integrated out
+    log_weight     : (scale, time, size) of the prior
+    smooth : whether that error of the heating has no corners
     """
 
     sizes: FloatArray
     times_s: FloatArray
+    scales: FloatArray
     log_likelihood: FloatArray
     log_weight: FloatArray
     smooth: bool = False
 
     @property
     def evidence(self) -> float:
-        """Log likelihood with size and correlation time integrated out [-].
+        """Log likelihood with size, correlation time and scale integrated out [-].
 
         Source: docs/theory/model_error.md, equation 5.
         """
         return float(np.logaddexp.reduce((self.log_likelihood + self.log_weight).ravel()))
 
     def at(self, error: ModelError) -> float:
-        """Log likelihood at the size and the correlation time of an error, which are of the grid [-].
+        """Log likelihood at size, correlation time and scale of an error, which are of the grid [-].
 
         Source: docs/theory/model_error.md, equation 5.
         """
-        i = int(np.argmin(np.abs(np.log(self.times_s / error.correlation_s))))
-        return float(self.log_likelihood[i, int(np.argmin(np.abs(self.sizes - error.sigma)))])
+        j, i = (
+            int(np.argmin(np.abs(np.log(values / at))))
+            for values, at in ((self.scales, error.flight_scale), (self.times_s, error.correlation_s))
+        )
+        return float(self.log_likelihood[j, i, int(np.argmin(np.abs(self.sizes - error.sigma)))])
 
     @property
     def posterior(self) -> FloatArray:
-        """(time, size) probability of each [-]: docs/theory/model_error.md, equation 5."""
+        """(scale, time, size) probability of each [-]: docs/theory/model_error.md, equation 5."""
         return np.exp(self.log_likelihood + self.log_weight - self.evidence)
 
     @property
-    def likeliest(self) -> tuple[float, float]:
-        """Most probable standard deviation [-] and correlation time [s]: docs/theory/model_error.md, equation 5."""
+    def posterior_of_heating(self) -> FloatArray:
+        """(time, size) probability of each, whatever the flight's error [-]: docs/theory/model_error.md, equation 5."""
+        return np.asarray(self.posterior.sum(axis=0))
+
+    @property
+    def likeliest(self) -> tuple[float, float, float]:
+        """Most probable standard deviation [-], correlation time [s] and scale of the flight's error [-].
+
+        Source: docs/theory/model_error.md, equations 5 and 5a.
+        """
         at = np.unravel_index(int(np.argmax(self.posterior)), self.posterior.shape)
-        return float(self.sizes[at[1]]), float(self.times_s[at[0]])
+        return float(self.sizes[at[2]]), float(self.times_s[at[1]]), float(self.scales[at[0]])
+
+    @property
+    def log_likelihood_of_scale(self) -> FloatArray:
+        """(scale,) log likelihood with size and correlation time integrated out [-].
+
+        Source: docs/theory/model_error.md, equation 5a.
+        """
+        joint, prior = (
+            np.logaddexp.reduce(x.reshape(len(self.scales), -1), axis=1)
+            for x in (self.log_likelihood + self.log_weight, self.log_weight)
+        )
+        return np.asarray(joint - prior)
+
+    @property
+    def posterior_of_scale(self) -> dict[float, float]:
+        """Probability [-] of each factor on the flight's sigmas: docs/theory/model_error.md, equation 5a."""
+        return dict(zip(self.scales.tolist(), self.posterior.sum(axis=(1, 2)).tolist(), strict=True))
 
     @property
     def mean(self) -> float:
         """Mean of the standard deviation [-]: docs/theory/model_error.md, equation 5."""
-        return float(self.posterior.sum(axis=0) @ self.sizes)
+        return float(self.posterior.sum(axis=(0, 1)) @ self.sizes)
 
     @property
     def rms(self) -> float:
@@ -342,5 +396,5 @@ class ErrorSize:
     def limit(self, probability: float = 0.95) -> float:
         """Limit that the standard deviation is below with a probability [-]: docs/theory/model_error.md, equation 5."""
         upper = np.append(0.5 * (self.sizes[1:] + self.sizes[:-1]), 1.5 * self.sizes[-1])
-        below = np.append(0.0, np.cumsum(self.posterior.sum(axis=0)))
+        below = np.append(0.0, np.cumsum(self.posterior.sum(axis=(0, 1))))
         return float(np.interp(probability, below, np.append(0.0, upper)))

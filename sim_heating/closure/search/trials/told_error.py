@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,8 @@ class ToldError:
     largest_phase : part of the record where it does most
     flight        : by name, value and standard deviation of an error of the flight, in its unit; None where the record
                     does not tell it apart
+    flight_scale  : factor on the standard deviations that are stated of the flight -> its probability [-]; empty where
+                    none are stated
     """
 
     relative: float
@@ -41,6 +43,7 @@ class ToldError:
     rms_K: float
     largest_phase: str
     flight: Mapping[str, tuple[float, float] | None]
+    flight_scale: Mapping[float, float] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
@@ -50,6 +53,7 @@ class ToldError:
             "rms_K": self.rms_K,
             "largest_phase": self.largest_phase,
             "flight": flight_as_json(self.flight),
+            "flight_scale": {f"{scale:g}": p for scale, p in self.flight_scale.items()} or None,
         }
 
     def in_words(self) -> str:
@@ -61,7 +65,9 @@ class ToldError:
             f"{self.largest_phase}."
         )
         flight_text = flight_in_words(self.flight)
-        return f"{text} Against its conditions the flight was: {flight_text}." if flight_text else text
+        if flight_text:
+            text = f"{text} Against its conditions the flight was: {flight_text}."
+        return f"{text} {scale_in_words(self.flight_scale)}." if self.flight_scale else text
 
 
 def flight_as_json(flight: Mapping[str, tuple[float, float] | None]) -> dict[str, Any]:
@@ -76,6 +82,17 @@ def flight_in_words(flight: Mapping[str, tuple[float, float] | None]) -> str:
         (IN_WORDS[n][0] * value, IN_WORDS[n][0] * sigma, IN_WORDS[n][1]) for n, (value, sigma) in determined.items()
     ]
     return ", ".join(f"{value:+.2g} +- {sigma:.1g} {meaning}" for value, sigma, meaning in scaled)
+
+
+def scale_in_words(flight_scale: Mapping[float, float]) -> str:
+    """By how much the errors of a flight are larger than stated, in words.
+
+    flight_scale : factor on the standard deviations as stated -> its probability [-], the smallest first
+    """
+    stated, *larger = (f"{100.0 * p:.0f} %" for p in flight_scale.values())
+    pairs = zip(list(flight_scale)[1:], larger, strict=True)
+    others = ", ".join(f"{scale:g} times as large with {p}" for scale, p in pairs)
+    return f"Its errors are as large as stated with a probability of {stated}, {others}"
 
 
 def told_error(trial: TrialFit, *, phase_count: int = 8) -> ToldError | None:
@@ -96,6 +113,7 @@ def told_error(trial: TrialFit, *, phase_count: int = 8) -> ToldError | None:
     return ToldError(
         size.mean, size.limit(), size.likeliest[1], float(np.sqrt(np.mean(moved_K**2))),
         f"{at_s[largest[0]]:.0f} to {at_s[largest[-1]]:.0f} s", _flight(trial, error, u),
+        size.posterior_of_scale if len(size.scales) > 1 else {},
     )  # fmt: skip
 
 

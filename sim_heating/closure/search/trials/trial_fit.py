@@ -20,7 +20,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
-from sim_heating.closure.prior.model_error import clock_prior, flight_error, heating_error_prior
+from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
@@ -379,6 +379,12 @@ def with_own_error(trial: TrialFit) -> TrialFit:
     return replace(sized, size=_size_of_error(sized, prior))
 
 
+def with_flight_scale(trial: TrialFit, scale: float) -> TrialFit:
+    """A trial with another factor on the standard deviations of its flight's error [-]; its fit is as before."""
+    error = trial.record_fit.model_error
+    return trial if error is None else with_error(trial, error.of_size(error.sigma, error.correlation_s, scale))
+
+
 def with_error(trial: TrialFit, error: ModelError) -> TrialFit:
     """A trial with another error of its model."""
     return replace(
@@ -393,8 +399,14 @@ def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
     parameters = trial.problem.parameters
     information = np.array([p.sigma**-2.0 for p in parameters])
     distance = np.array([p.value for p in parameters]) - trial.fit.values
-    samples = trial.problem.samples(trial.fit.values)
-    return error_size(trial.record_fit, samples, (information, distance), ~trial.fit.on_bound, prior)
+    record_fit, samples = trial.record_fit, trial.problem.samples(trial.fit.values)
+    flight = flight_error(record_fit.record)
+    has_one_clock = flight is not None and flight.has_one_clock
+    is_clock = np.array([has_one_clock and p.name == CLOCK_SKEW.name for p in parameters])
+    return error_size(
+        record_fit, samples, (information, distance), ~trial.fit.on_bound, prior, flight_scales(record_fit.record),
+        is_clock,
+    )  # fmt: skip
 
 
 def _declared_problem(
