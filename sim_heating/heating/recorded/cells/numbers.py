@@ -44,7 +44,7 @@ class Signs:
 
     @property
     def pattern(self) -> re.Pattern[str]:
-        """Of a number that is written with these signs."""
+        """Pattern of a number that is written with these signs."""
         point, comma = re.escape(self.decimal), re.escape(self.thousands)
         integer = rf"(?:\d+|[1-9]\d{{0,2}}(?:{comma}\d{{3}})+)" if self.thousands else r"\d+"
         return re.compile(rf"[+-]?(?:{integer}(?:{point}\d*)?|{point}\d+){EXPONENT}")
