@@ -405,7 +405,7 @@ def may_be_hhmmss(values: FloatArray) -> bool:
 
 
 def over_midnight(seconds: FloatArray) -> tuple[FloatArray, int]:
-    """Times of day [s] with a day added at each midnight, a step back of more than half a day; and how many these are."""
+    """Times of day [s] with a day added at each midnight, a step back of more than half a day; and how many."""
     unwrapped = seconds.copy()
     finite = np.flatnonzero(np.isfinite(seconds))
     wraps = np.concatenate(([0], np.cumsum(np.diff(seconds[finite]) < -0.5 * DAY_S)))
