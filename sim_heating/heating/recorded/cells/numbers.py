@@ -198,7 +198,7 @@ def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
     if len(units) == 2 and all(_is_code(v) for v, u in by_cell.values() if not u):
         units.discard("")  # the code of a lost sample states no unit
     if len(units) > 1 and torn < 0:
-        unit_of = {i: by_cell[cell][1] for i, cell in enumerate(cells) if cell}
+        unit_of = {i: by_cell[cell][1] for i, cell in enumerate(cells) if cell and not math.isnan(by_cell[cell][0])}
         torn = next(i for i, unit in unit_of.items() if unit != next(iter(unit_of.values())))
     return Numbers(values, units.pop() if len(units) == 1 else "", tuple(texts), torn)
 
