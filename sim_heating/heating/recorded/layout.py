@@ -12,6 +12,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import CsvTable, display_path
+from sim_heating.base.files import CsvTable, display_path, read_text
 from sim_heating.base.files.csv_table import header_entry
 from sim_heating.base.files.text import repeated_name
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, columns_of_fields, field_of_name
@@ -202,9 +203,16 @@ Rows = tuple[list[str], dict[str, str], dict[str, FloatArray], list[int], dict[s
 
 
 def _text(path: Path) -> str:
+    """The text of a file in UTF-8 or UTF-16, each line ended by one sign.
+
+    raises : InputError, as `read_text`
+    """
     from sim_heating.heating.recorded.cells.text import decoded
 
-    return decoded(path).replace("\r\n", "\n").replace("\r", "\n")
+    with suppress(OSError):
+        if path.is_file() and path.read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return decoded(path).replace("\r\n", "\n").replace("\r", "\n")
+    return read_text(path).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _rows(path: Path, text: str) -> Rows:

@@ -25,16 +25,18 @@ from sim_heating.closure.search.trials.change import RecordChange, Span, moved_e
 from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.inputs.record import Record
 
-FLUX = Parameter("factor", "1", 1.0, 0.1, 0.1, 10.0, "absorbed flux over that of the conditions")
-"""Its standard deviation is a guess: absorptances of paints and fluxes at a place under a lamp scatter by a tenth."""
 EVERYWHERE: Span = (-np.inf, np.inf)
-DENSITY = Parameter("density_factor", "1", 1.0, 0.1, 0.3, 3.0, "true density over that of the conditions")
-VELOCITY = Parameter("velocity_factor", "1", 1.0, 0.01, 0.7, 1.4, "true velocity over that of the conditions")
-ALPHA = Parameter("alpha_bias_deg", "deg", 0.0, 0.5, -15.0, 15.0, "true less stated angle of attack")
-SMOOTHED = Parameter("smoothing_s", "s", 0.0, 2.0, 0.0, 30.0, "width of the mean that the stated angle of attack is")
-SHIFT = replace(CLOCK_SKEW, name="skew_s", lower=-900.0, upper=900.0, text="flight later than its conditions")
+UNKNOWNS = {
+    "flux": Parameter("factor", "1", 1.0, 0.1, 0.1, 10.0, "absorbed flux over that of the conditions"),
+    "density": Parameter("density_factor", "1", 1.0, 0.1, 0.3, 3.0, "true density over that of the conditions"),
+    "velocity": Parameter("velocity_factor", "1", 1.0, 0.01, 0.7, 1.4, "true velocity over that of the conditions"),
+    "angle of attack": Parameter("alpha_bias_deg", "deg", 0.0, 0.5, -15.0, 15.0, "true less stated angle of attack"),
+    "smoothing": Parameter("smoothing_s", "s", 0.0, 2.0, 0.0, 30.0, "width of the mean that the stated angle is"),
+    "shift": replace(CLOCK_SKEW, name="skew_s", lower=-900.0, upper=900.0, text="flight later than its conditions"),
+}
 """Unknowns of the changes. Their standard deviations are guesses: shears of density of a tenth and winds of 1 % of the
-velocity are usual, as is half a degree of angle of attack. Conditions that are too early are thermocouples that lag."""
+velocity are usual, as is half a degree of angle of attack; absorptances of paints and fluxes at a place under a lamp
+scatter by a tenth. Conditions that are too early are thermocouples that lag."""
 SHIFT_STARTS = (-30.0, -10.0, 10.0, 30.0)
 """Shifts that a fit may start from [s]: its likelihood has a maximum of its own at each steep part of the heating."""
 THINNEST_M, BRIEFEST_S = 1000.0, 20.0
@@ -143,7 +145,7 @@ def likeliest_shift_s(record: Record, *, step_s: float = 10.0) -> float | None:
         return None
     used = [i for i, s in enumerate(record.sensors) if s.used]
     t, read, fitted = record.time_s, record.temperatures_K()[used], record.fit_mask()
-    shifts = np.arange(SHIFT.lower, SHIFT.upper + step_s, step_s)
+    shifts = np.arange(UNKNOWNS["shift"].lower, UNKNOWNS["shift"].upper + step_s, step_s)
     error_K = np.array([_shape_error_K(s, t[fitted], read[:, fitted], flown_s, indicated_K[used]) for s in shifts])
     return float(shifts[np.nanargmin(error_K)]) if np.any(np.isfinite(error_K)) else None
 
@@ -184,7 +186,9 @@ def time_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
         return f"flight conditions {abs(value):.3g} s too {'early' if value > 0.0 else 'late'}"
 
     text = "time of the flight conditions"
-    return RecordChange("flight", text, SHIFT, shift_conditions, describe, tuple(starts), effect="time-skew")
+    return RecordChange(
+        "flight", text, UNKNOWNS["shift"], shift_conditions, describe, tuple(starts), effect="time-skew"
+    )
 
 
 def trajectory_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
@@ -199,13 +203,13 @@ def trajectory_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
         )
 
     text = "time of velocity, altitude and air against the angles"
-    return RecordChange("flight", text, SHIFT, shift_trajectory, describe, tuple(starts))
+    return RecordChange("flight", text, UNKNOWNS["shift"], shift_trajectory, describe, tuple(starts))
 
 
 def density_scale() -> RecordChange:
     """The density was another by a factor, along the whole flight."""
     text = "density of the flight conditions"
-    return RecordChange("flight", text, DENSITY, lambda r, f: with_density(r, f), _scaled(text))
+    return RecordChange("flight", text, UNKNOWNS["density"], lambda r, f: with_density(r, f), _scaled(text))
 
 
 def density_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, edge_m: float = 1.0) -> RecordChange:
@@ -240,13 +244,13 @@ def _layer(
         return tuple(form(*ends, limits) for ends in moved_ends(span, fraction, THINNEST_M, limits))
 
     text = f"{name} {span[0] / 1e3:.1f} and {span[1] / 1e3:.1f} km"
-    return RecordChange("flight", text, DENSITY, apply, _scaled(text, where), form=name, near=near)
+    return RecordChange("flight", text, UNKNOWNS["density"], apply, _scaled(text, where), form=name, near=near)
 
 
 def velocity_scale() -> RecordChange:
     """The velocity was another by a factor, along the whole flight."""
     text = "velocity of the flight conditions"
-    return RecordChange("flight", text, VELOCITY, lambda r, f: with_velocity(r, f), _scaled(text))
+    return RecordChange("flight", text, UNKNOWNS["velocity"], lambda r, f: with_velocity(r, f), _scaled(text))
 
 
 def velocity_drift(begin_s: float, end_s: float, limits: Span = EVERYWHERE) -> RecordChange:
@@ -278,7 +282,7 @@ def _drift(
         return tuple(form(*ends, limits) for ends in moved_ends((begin_s, end_s), fraction, BRIEFEST_S, limits))
 
     text = f"{name} from {begin_s:.0f} to {end_s:.0f} s"
-    return RecordChange("flight", text, VELOCITY, apply, _scaled(text, where), form=name, near=near)
+    return RecordChange("flight", text, UNKNOWNS["velocity"], apply, _scaled(text, where), form=name, near=near)
 
 
 def alpha_bias() -> RecordChange:
@@ -287,7 +291,9 @@ def alpha_bias() -> RecordChange:
     def describe(value: float) -> str:
         return f"angle of attack {abs(value):.2g} deg too {'small' if value > 0.0 else 'large'}"
 
-    return RecordChange("flight", "angle of attack of the flight conditions", ALPHA, with_alpha, describe)
+    return RecordChange(
+        "flight", "angle of attack of the flight conditions", UNKNOWNS["angle of attack"], with_alpha, describe
+    )
 
 
 def alpha_smoothed(starts_s: tuple[float, float] = (5.0, 12.0)) -> RecordChange:
@@ -300,7 +306,7 @@ def alpha_smoothed(starts_s: tuple[float, float] = (5.0, 12.0)) -> RecordChange:
         return f"angle of attack stated as a mean over {width_s:.2g} s (standard deviation)"
 
     text = "smoothing of the angle of attack"
-    return RecordChange("flight", text, SMOOTHED, with_sharper_alpha, describe, starts_s)
+    return RecordChange("flight", text, UNKNOWNS["smoothing"], with_sharper_alpha, describe, starts_s)
 
 
 def _scaled(quantity: str, suffix: str = "") -> Callable[[float], str]:
@@ -321,7 +327,7 @@ def lamp_changes(record: Record) -> list[RecordChange]:
     flown = record.conditions
     if record.has_flow or "q_add_W_m2" not in flown or not np.any(flown["q_add_W_m2"]):
         return []
-    return [RecordChange("flight", "flux of the lamp", FLUX, with_flux, _describe_flux)]
+    return [RecordChange("flight", "flux of the lamp", UNKNOWNS["flux"], with_flux, _describe_flux)]
 
 
 def with_flux(record: Record, factor: float) -> Record:
