@@ -72,6 +72,25 @@ def test_a_range_file_is_read_by_one_layout_of_its_cells(tmp_path, head, row):
         np.testing.assert_allclose(columns[column], [factor * sample[k] for sample in SAMPLES], rtol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("head", "second", "said"),
+    [
+        (
+            "Altitude (m)",
+            "390000 ft",
+            "row 2, column Altitude (m): `400000 ft` has another unit than the column states, `m`",
+        ),
+        ("Altitude", "118.9 km", "row 3, column Altitude: `118.9 km` is no number in the layout of the file"),
+    ],
+)
+def test_a_condition_in_two_units_is_refused_with_its_cell(tmp_path, head, second, said):
+    path = tmp_path / "range.csv"
+    path.write_text(f"Time (s),{head},Velocity (m/s)\n0,400000 ft,7500\n10,{second},7400\n20,380000 ft,7300\n")
+    with pytest.raises(InputError) as refusal:
+        read_flight(path, ("time_s", "altitude_m", "velocity_m_s"))
+    assert said in str(refusal.value)
+
+
 # Each kind of file ----------------------------------------------------------------------------------------------------
 
 

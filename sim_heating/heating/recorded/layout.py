@@ -25,18 +25,28 @@ from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import CsvTable, display_path, read_text
 from sim_heating.base.files.csv_table import header_entry
 from sim_heating.base.files.text import repeated_name
-from sim_heating.heating.recorded.fields import ConditionField, FlightField, columns_of_fields, field_of_name
+from sim_heating.base.files.units import converted
+from sim_heating.heating.recorded.fields import (
+    ConditionField,
+    FlightField,
+    column_unit,
+    columns_of_fields,
+    field_of_name,
+)
 
 if TYPE_CHECKING:
     from sim_heating.heating.recorded.cells.block import Block
     from sim_heating.heating.recorded.cells.clocks import Clock
+    from sim_heating.heating.recorded.cells.numbers import Numbers
 
 SAME = 2e-3
 """Relative difference of two fields of one column that are the same but for rounding."""
 DERIVABLE = {"T_inf_K", "p_inf_Pa", "rho_kg_m3", "mach", "log10_re", "p_surface_Pa"}
 """Columns that may follow from others."""
-FORTRAN = re.compile(r"(?<=\d)[dD](?=[+-]?\d)")
+FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
 """The sign of an exponent as Fortran writes it, `1.0D+03`."""
+FORTRAN_ROW = re.compile(r"[\s\d.,;+\-dD]+")
+"""A row of such numbers, and of nothing else."""
 RULE = re.compile(r"^[\s|+\-=]{3,}$")
 """A line of dashes, which separates the names of a list from its rows."""
 
@@ -225,7 +235,8 @@ def _rows(path: Path, text: str) -> Rows:
     from sim_heating.heating.recorded.cells.text import text_block  # pandas, which a vehicle does not need
 
     lines = text.split("\n")
-    block = text_block(path, "\n".join("" if RULE.match(line) else FORTRAN.sub("E", line) for line in lines))
+    rows = (FORTRAN.sub("E", line) if FORTRAN_ROW.fullmatch(line) else line for line in lines)
+    block = text_block(path, "\n".join("" if RULE.match(row) else row for row in rows))
     if not block.has_names:
         raise InputError(
             f"{display_path(path)}: the row of column names is missing; add one, with units, as `Altitude (ft)`"
@@ -254,15 +265,35 @@ def _units_and_numbers(block: Block) -> tuple[dict[str, str], dict[str, FloatArr
     }  # fmt: skip
     signs = number_signs(block, [k for k in range(len(block.names)) if k not in clocks], None)
     units, numbers = {}, {}
-    for k, (name, stated) in enumerate(zip(block.names, block.units, strict=True)):
+    for k, (name, stated, of_name) in enumerate(zip(block.names, block.units, fields, strict=True)):
         cells = block.column(k)
         clock = clock_of(cells, f"{display_path(block.path)}, column {name}") if k in clocks else None
         read = numbers_of(cells, signs)
         unit = stated.strip("[]() ") or read.unit
+        if clock is None and of_name is not None:
+            _require_one_layout(block, k, read, of_name)
         numbers[name] = read.values if clock is None else _counted_s(clock)
         if clock is not None or unit:
             units[name] = unit if clock is None else "s"
     return units, numbers
+
+
+def _require_one_layout(block: Block, k: int, read: Numbers, of_name: FlightField) -> None:
+    """Refuse a column of conditions whose cells have several layouts or units, or another unit than its name.
+
+    raises : InputError with the first such cell
+    """
+    from sim_heating.heating.recorded.cells.numbers import shown_cell
+
+    i, name = max(read.torn, 0), block.names[k]
+    stated, si = block.units[k].strip("[]() ") or of_name.unit, column_unit(of_name.column)
+    if read.torn >= 0:
+        rule = "is no number in the layout of the file; mend the cell"
+    elif read.unit and stated and converted(read.unit, si) != converted(stated, si):
+        rule = f"has another unit than the column states, `{stated}`; write one unit"
+    else:
+        return
+    raise InputError(f"{block.at(i, name)}: `{shown_cell(block.column(k)[i])}` {rule}")
 
 
 def _counted_s(clock: Clock) -> FloatArray:
