@@ -76,6 +76,11 @@ def stated_error(record: Record) -> StatedError:
     """What the model of a record may be off: as it states, or the defaults of a measured one.
 
     Source: docs/theory/model_error.md, equation 1.
+
+        >>> import sim_heating as sh
+        >>> error = sh.stated_error(sh.load_record("scenarios/records/sts96_468"))
+        >>> error.heating.relative
+        0.05
     """
     heating = heating_error_prior(record)
     if heating is not None and heating.shortest_s < heating.longest_s:
