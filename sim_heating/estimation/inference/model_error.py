@@ -391,7 +391,7 @@ class ErrorSize:
     @property
     def rms(self) -> float:
         """Root mean square of the standard deviation [-]: docs/theory/model_error.md, equation 5."""
-        return math.sqrt(float(self.posterior.sum(axis=0) @ self.sizes**2))
+        return math.sqrt(float(self.posterior.sum(axis=(0, 1)) @ self.sizes**2))
 
     def limit(self, probability: float = 0.95) -> float:
         """Limit that the standard deviation is below with a probability [-]: docs/theory/model_error.md, equation 5."""
