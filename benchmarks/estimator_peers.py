@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sim_heating.estimation.record_fit import RecordFit, declared_profile
+from sim_heating.estimation.record_fit import RecordFit
 from sim_heating.march.ensemble import Ensemble, condition_history
-from sim_heating.march.point import PointModel
+from sim_heating.march.point import PointModel, initial_temperatures
 from sim_heating.thermal.frame import NOT_CONTROLLED_K
 
 try:
@@ -48,7 +48,7 @@ class Plain:
         self.time_s = self.part.time_s
         self.history = condition_history(self.part.conditions.at(self.time_s))
         begun = self.part.initial_K(None)
-        self.start_K = declared_profile(self.part) if begun is None else begun
+        self.start_K = initial_temperatures(self.part.model.construction, self.part.mesh) if begun is None else begun
         # all sides march in the schedule of the fit
         self.ensemble = Ensemble([self.part.model], [self.part.mesh], tolerance_K=NOT_CONTROLLED_K)
         self.nodes = self.ensemble.node_offsets(0)

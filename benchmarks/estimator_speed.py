@@ -18,7 +18,7 @@ from benchmarks.estimator_peers import ExtendedKalmanFilter, Plain, by_filterpy,
 from benchmarks.measure import Figure, Task, Times, in_turn, save
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parallel.threads import march_threads
-from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.estimation.filter.march import FilterMarch, FilterTrack
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.newton import maximise
 from sim_heating.estimation.inference.observability import default_names
@@ -30,6 +30,7 @@ from sim_heating.inputs.record import Record, load_record
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import LinearMarch, Track
 from tests.support.estimator_cases import CASES, record_of, start_at
+from tests.support.filter_samples import samples_on_grid
 from tests.support.problems import RECORD, mesh_of
 
 FloatArray = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.measure import Figure
 from sim_heating.base.arrays import FloatArray
-from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.estimation.filter.march import FilterMarch, FilterTrack
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.likelihood import reading_intervals
@@ -21,6 +21,7 @@ from sim_heating.live.filtering.parameters import default_prior
 from sim_heating.live.filtering.points import RecordPoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
+from tests.support.filter_samples import samples_on_grid
 from tests.support.live_streams import SIX, BadLink, Flight, cut, known_flight, practice, samples_of_record
 
 NULL = ("p06", "p07")

@@ -28,9 +28,9 @@ from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.newton import Fit, maximise
 from sim_heating.estimation.inference.residual_tests import sensor_residuals
 from sim_heating.estimation.problem import FitProblem
-from sim_heating.estimation.record_fit import declared_profile
 from sim_heating.inputs.sensor_model import measure
 from sim_heating.march.ensemble import Ensemble, condition_history
+from sim_heating.march.point import initial_temperatures
 from tests.support.estimator_cases import CASES, Repeatable, repeatable
 from tests.support.problems import NOTHING
 
@@ -97,7 +97,7 @@ def disturbed(
     part = bench.problem.record_fits[0]
     t, history = part.time_s, condition_history(part.conditions.at(part.time_s))[np.newaxis]
     model, begun = part.model_at(bench.truth), part.initial_K(None)
-    profiles = np.tile(declared_profile(part) if begun is None else begun, (runs, 1))
+    profiles = np.tile(initial_temperatures(part.model.construction, part.mesh) if begun is None else begun, (runs, 1))
     d = rng.normal(0.0, noise.ratio_sigma, runs)
     ensemble = Ensemble([model] * runs, [part.mesh] * runs)
     found, added = np.empty((runs, len(t) - 1, part.mesh.nodes)), np.empty((runs, len(t) - 1))

@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.measure import Figure, in_turn, save
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.estimation.filter.heating_input import unknown_input
-from sim_heating.estimation.filter.march import Disturbance, FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.estimation.filter.march import Disturbance, FilterMarch, FilterTrack
 from sim_heating.estimation.filter.smoother import smooth
 from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.problem import FitProblem, joint_reference
@@ -27,6 +27,7 @@ from sim_heating.march.ensemble import condition_history
 from sim_heating.march.history import march_points, values_at
 from sim_heating.march.mesh_choice import pack
 from sim_heating.thermal.stack import Sensor
+from tests.support.filter_samples import samples_on_grid
 from tests.support.problems import RECORD
 
 ROUNDS, SEED = 7, 1

@@ -54,7 +54,7 @@ from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature, stated_bias_K
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import Linearised, LinearMarch, Track
-from sim_heating.march.point import PointModel, initial_temperatures
+from sim_heating.march.point import PointModel
 from sim_heating.march.schedule import divided_times
 from sim_heating.thermal.frame import NOT_CONTROLLED_K, STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh, halve_elements, interpolate_profile
@@ -627,11 +627,6 @@ def march_times(
     first = np.repeat(np.cumsum(pieces) - pieces, pieces)
     into_interval = (np.arange(pieces.sum()) - first) * np.repeat(span / pieces, pieces)
     return np.append(np.repeat(knots[:-1], pieces) + into_interval, knots[-1])
-
-
-def declared_profile(record_fit: RecordFit) -> FloatArray:
-    """(node,) temperatures [K] that the stack of a record declares."""
-    return initial_temperatures(record_fit.model.construction, record_fit.mesh)
 
 
 # What the sensors show ------------------------------------------------------------------------------------------------

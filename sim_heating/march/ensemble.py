@@ -175,17 +175,6 @@ class Ensemble:
         nodes = block.node_rows(self.memory.block(offsets.group))
         return nodes[: self.meshes[model].nodes, block.T, offsets.lane].copy()
 
-    def stage_temperatures(self, model: int) -> FloatArray:
-        """(node,) temperatures of a point [K] at the middle stage of its last step, t_n + gamma dt, outermost first.
-
-        model : number of the point
-
-        With those at both ends of the step they define the parabola of docs/theory/equations_march.md, equation 4.
-        """
-        offsets = self.lane_offsets[model]
-        nodes = block.node_rows(self.memory.block(offsets.group))
-        return nodes[: self.meshes[model].nodes, block.T_STAGE, offsets.lane].copy()
-
     def node_offsets(self, model: int, nodes: Iterable[int] | None = None) -> IntArray:
         """(node,) offsets in `state` of node temperatures [K] of a point.
 

@@ -12,12 +12,13 @@ import pytest
 from sim_heating.base.files import read_csv_columns
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating, write_residual_heating
 from sim_heating.estimation.filter.heating_input import UnknownInput, unknown_input
-from sim_heating.estimation.filter.march import FilterTrack, samples_on_grid
+from sim_heating.estimation.filter.march import FilterTrack
 from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import Record
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
+from tests.support.filter_samples import samples_on_grid
 from tests.support.missing import record_with
 from tests.support.verification.exact import semi_infinite_flux, semi_infinite_linear_flux
 from tests.support.walls import flight, material, wall

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest, chi2, kstest
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.estimation.filter.march import Disturbance, FilterMarch, FilterTrack, Samples, samples_on_grid
+from sim_heating.estimation.filter.march import Disturbance, FilterMarch, FilterTrack, Samples
 from sim_heating.estimation.filter.smoother import smooth
 from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.heating.effects import use
@@ -25,6 +25,7 @@ from sim_heating.thermal.mesh import Mesh, build_mesh
 from sim_heating.thermal.stack import Sensor
 from tests.march.test_kernel_interpreted import run_interpreted
 from tests.support.dense_filter import LinearStep, dense_filter, dense_smoother, linear_step
+from tests.support.filter_samples import samples_on_grid
 from tests.support.walls import flight, material, practice_model, practice_record, wall
 
 DT, STEPS = 2.0, 24

@@ -13,13 +13,14 @@ import pytest
 from scipy.stats import binomtest, chi2
 
 from sim_heating.estimation.filter.heating_input import UnknownInput, bandwidth_Hz, unknown_input
-from sim_heating.estimation.filter.march import Disturbance, FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.estimation.filter.march import Disturbance, FilterMarch, FilterTrack
 from sim_heating.estimation.filter.smoother import smooth
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import Mesh, build_mesh, halve_elements
 from tests.estimation.test_filter import HEATED, START_K, linear_wall, some_covariance, wall_samples
 from tests.estimation.test_filter import TIME_S as LINEAR_S
+from tests.support.filter_samples import samples_on_grid
 from tests.support.walls import flight, practice_model
 
 History = Callable[[np.ndarray], np.ndarray]

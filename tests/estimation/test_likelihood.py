@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim_heating.base.errors import InputError
+from sim_heating.estimation.filter.kernel import innovation
 from sim_heating.estimation.inference.likelihood import (
     Likelihood,
     ReadingIntervals,
     expected_information,
     likelihood,
     log_likelihood,
-    posterior_moments,
     quantile_residuals,
     reading_intervals,
 )
@@ -220,19 +220,19 @@ def test_a_sample_at_the_end_of_a_fine_word_is_half_lost() -> None:
 
 @pytest.mark.parametrize("ends", INTERVALS)
 def test_an_interval_updates_a_normal_prior_to_the_truncated_normal(ends: tuple[float, float]) -> None:
-    mean, variance = posterior_moments(interval(700.0 + 2.0 * ends[0], 700.0 + 2.0 * ends[1]), 700.0, 2.0)
+    """A mean that covaries with the reading by c changes by c nu / S, its variance by -c^2 / S."""
+    nu, S, _ = innovation(700.0 + 2.0 * ends[0], 700.0 + 2.0 * ends[1], 700.0, 4.0)
     shifted = [(700.0 + 2.0 * e - 700.0) / 2.0 for e in ends]
     with mpmath.workdps(80):
         _, first, second, *_ = exact_moments(*shifted)
-        expected = 4.0 * float(second - first**2)
-    assert mean[0] == approx(700.0 + 2.0 * float(first), rel=1e-14)
-    assert variance[0] == approx(expected, rel=1e-12)
+        gained = float(1 - (second - first**2))
+    assert nu / S == approx(float(first) / 2.0, rel=1e-12)
+    assert approx(gained / 4.0, rel=1e-12, abs=1e-15) == 1.0 / S
 
 
 def test_an_unrounded_sample_updates_to_itself() -> None:
-    mean, variance = posterior_moments(reading_intervals(sensor(), [712.0]), 700.0, 2.0)
-    assert mean.tolist() == [712.0]
-    assert variance.tolist() == [0.0]
+    nu, S, _ = innovation(712.0, 712.0, 700.0, 4.0)
+    assert (nu, S) == (12.0, 4.0)
 
 
 @pytest.mark.parametrize(("bits", "sigma"), [(8, 0.5), (8, 3.0), (4, 10.0), (None, 1.0)])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sim_heating.base.errors import InputError
-from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.estimation.filter.march import FilterMarch, FilterTrack
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.likelihood import reading_intervals
@@ -25,6 +25,7 @@ from sim_heating.live.filtering.points import RecordPoints, VehiclePoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.point import initial_temperatures
+from tests.support.filter_samples import samples_on_grid
 from tests.support.paths import PRACTICE
 
 NODES = 14

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sim_heating.base.kernels.lag import lag_columns
-from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.estimation.filter.march import FilterMarch, FilterTrack
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.points import conditions_of_record, point_of_record
@@ -18,6 +18,7 @@ from sim_heating.live.filtering.estimator import LiveEstimator
 from sim_heating.live.filtering.points import RecordPoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
+from tests.support.filter_samples import samples_on_grid
 from tests.support.paths import PRACTICE
 
 TAU_S, SCALE, SKEW_S = 2.5, 0.05, 0.4

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_heating.base.kernels import block
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.frame import NOT_CONTROLLED_K
@@ -49,7 +50,12 @@ def linear_step(model: PointModel, mesh: Mesh, vectors: FloatArray, dt: float, d
         ensemble.set_profile(0, z[:n])
         ensemble.begin(vectors[:1])
         ensemble.advance(vectors[1:], dt)
-        end, middle = ensemble.node_temperatures(0), ensemble.stage_temperatures(0)
+        # the middle stage of the step: with its ends it defines the parabola of equations_march.md, equation 4
+        end, rows = (
+            ensemble.node_temperatures(0),
+            block.node_rows(ensemble.memory.block(ensemble.lane_offsets[0].group)),
+        )
+        middle = rows[:n, block.T_STAGE, ensemble.lane_offsets[0].lane].copy()
         return np.append(end, decay * z[n]), np.append(middle, z[n])
 
     zero = np.append(np.full(n, 600.0), 0.0)

@@ -12,7 +12,7 @@ import sim_heating as sh
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME, Conditions
 from sim_heating.base.kernels.block import LANES
-from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.estimation.filter.march import FilterMarch, FilterTrack
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record, Segments, load_record
@@ -20,6 +20,7 @@ from sim_heating.live.filtering.points import LivePoint, RecordPoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
 from sim_heating.thermal.stack import Sensor
+from tests.support.filter_samples import samples_on_grid
 from tests.support.paths import PRACTICE
 
 SIX = ("ratio.scale", "ratio.d_alpha", "ratio.d_beta", "ratio.d_logre", "ratio.d_elevon", "ratio.d_bodyflap")

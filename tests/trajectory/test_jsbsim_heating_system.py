@@ -6,15 +6,18 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from sim_heating.heating.atmosphere import free_stream
 from sim_heating.heating.ratio.lookup import table_ratios_at
+from sim_heating.heating.reference.gas import wall_enthalpy_grid
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.inputs.vehicle import load_vehicle
-from sim_heating.trajectory.jsbsim.heating_system import equilibrium_temperature, jsbsim_system_text, nd_table
+from sim_heating.thermal.faces import SIGMA
+from sim_heating.trajectory.jsbsim.heating_system import WALL_PRESSURE_PA, jsbsim_system_text, nd_table
 
 AIRCRAFT = """<?xml version="1.0"?>
 <fdm_config name="probe" version="2.0" release="ALPHA">
@@ -78,7 +81,14 @@ def test_jsbsim_gives_the_equilibrium_temperature_of_a_point(
     emissivity = point.construction.layer_materials()[0].emissivity
     heat = loaded.heating.wall_enthalpy
     kind = heat if isinstance(heat, str) else {"cp_J_kgK": heat.cp_J_kgK}
-    expected = equilibrium_temperature(ratio * float(h_ref[0]), float(H_r[0]), emissivity, kind)
+    T_nodes, eps = np.asarray(emissivity, dtype=float).T
+
+    def absorbed(T: float) -> float:
+        """r h_ref (H_r - H_w(T)) - eps(T) sigma T^4 [W/m2]."""
+        H_w = float(wall_enthalpy_grid(kind, [T], [WALL_PRESSURE_PA])[0, 0])
+        return ratio * float(h_ref[0]) * (float(H_r[0]) - H_w) - float(np.interp(T, T_nodes, eps)) * SIGMA * T**4
+
+    expected = float(brentq(absorbed, 50.0, 4000.0))
     assert flown[f"heating/{name}/ratio"] == pytest.approx(ratio, rel=1e-4)
     assert flown[f"heating/{name}/equilibrium-K"] == pytest.approx(expected, abs=1.0)
     assert expected > 400.0

@@ -31,7 +31,6 @@ from sim_heating.estimation.inference.truncated_normal import (
     SKEW,
     SPREAD,
     SQUARE,
-    VARIANCE,
     fill_scores,
     fill_terms,
     information_fraction,
@@ -198,25 +197,6 @@ def log_likelihood(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayL
     """
     terms, _ = _terms(samples, mean_K, sigma_K)
     return np.where(samples.is_lost, 0.0, terms[..., LOG_Z])
-
-
-def posterior_moments(
-    samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike
-) -> tuple[FloatArray, FloatArray]:
-    """Mean and variance of the noisy indicated temperature given its interval, N(mean_K, sigma_K^2) before the sample.
-
-    With mean_K = H T and sigma_K^2 = S = H P H' + R a quantised Kalman update follows: T + K (mean - H T) and
-    P - K (S - variance) K', K = P H' / S. Where nothing was rounded this is the linear update.
-
-    samples : (sample,) intervals [K]
-    mean_K  : predictions [K];  sigma_K : their standard deviations, sensor noise included [K]; both broadcast
-    returns : mean [K] and variance [K2] of each; NaN for a lost sample
-    raises  : InputError where sigma_K is not positive
-
-    Source: Curry (1970); docs/theory/estimation_statistics.md, equation 10.
-    """
-    terms, sigma = _terms(samples, mean_K, sigma_K)
-    return np.asarray(mean_K, dtype=float) + terms[..., MEAN] * sigma, terms[..., VARIANCE] * sigma**2
 
 
 def expected_information(sensor: Sensor, mean_K: ArrayLike, sigma_K: ArrayLike) -> FloatArray:

@@ -16,7 +16,6 @@ docs/theory/equations.md.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -238,28 +237,3 @@ def _film_table(reference: str, nose_radius_m: float, rho: FloatArray, T_inf: Fl
     V, density, T = (a.ravel() for a in np.broadcast_arrays(SPEEDS_M_S[:, None], rho, T_inf))
     heating = reference_heating(reference, _conditions(V, density, T), nose_radius_m=nose_radius_m)
     return (heating.h_ref_kg_m2_s / np.sqrt(density)).reshape(len(SPEEDS_M_S), len(rho))
-
-
-def equilibrium_temperature(
-    film_kg_m2_s: float,
-    H_r_J_kg: float,
-    emissivity: Sequence[Sequence[float]],
-    wall_enthalpy: str | float | Mapping[str, float],
-    surroundings_K: float = 0.0,
-) -> float:
-    """Radiative-equilibrium temperature of a wall [K]: the balance above by bisection.
-
-    film_kg_m2_s : r h_ref [kg/(m2 s)];  H_r_J_kg : recovery enthalpy [J/kg];  others as `jsbsim_system_text`
-    """
-    T_nodes, eps = np.asarray(emissivity, dtype=float).T
-
-    def excess(T: float) -> float:
-        H_w = float(wall_enthalpy_grid(wall_enthalpy, [T], [WALL_PRESSURE_PA])[0, 0])
-        emitted = float(np.interp(T, T_nodes, eps)) * SIGMA * (T**4 - surroundings_K**4)
-        return emitted - film_kg_m2_s * (H_r_J_kg - H_w)
-
-    low, high = COLDEST_K, HOTTEST_K
-    while high - low > 1e-6:
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if excess(middle) > 0.0 else (middle, high)
-    return math.fsum((low, high)) / 2.0
