@@ -40,8 +40,7 @@ from benchmarks.measure import RESULTS, Figure, kept, save, table
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import MODEL
-from sim_heating.closure.prior.model_error import SmoothFlightError
-from sim_heating.closure.prior.stated_error import OtherFlight, stated_error
+from sim_heating.closure.prior.model_error import OtherFlight, SmoothFlightError, stated_error
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.credibility.facts.contributors import dispersed_temperatures
 from sim_heating.estimation.fit import estimate

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from sim_heating.closure.close import close_loops as close_loops
     from sim_heating.closure.close import write_closed_loop as write_closed_loop
     from sim_heating.closure.close import write_joint_loop as write_joint_loop
-    from sim_heating.closure.prior.stated_error import stated_error as stated_error
+    from sim_heating.closure.prior.model_error import stated_error as stated_error
     from sim_heating.closure.revise.report import update_tables as update_tables
     from sim_heating.estimation.design.report import design as design
     from sim_heating.estimation.design.report import write_design as write_design
@@ -83,7 +83,7 @@ _HOME = {
     "Dispersions": "trajectory.spec",
     # estimate, and close the loop
     "estimate": "estimation.fit",
-    "stated_error": "closure.prior.stated_error",
+    "stated_error": "closure.prior.model_error",
     "parameter_list": "estimation.parameter_list",
     "design": "estimation.design.report",
     "close_loop": "closure.close",

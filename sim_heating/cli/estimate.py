@@ -265,7 +265,7 @@ def estimate(
             raise InputError("--segments: segments are fitted without an error of the model; leave out --model-error")
         _estimate_trend(records, out, stated, segments, root)
         return
-    from sim_heating.closure.prior.stated_error import stated_error
+    from sim_heating.closure.prior.model_error import stated_error
     from sim_heating.estimation.fit import estimate as fit_records
     from sim_heating.estimation.report.remarks import further_warnings
     from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit

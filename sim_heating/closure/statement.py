@@ -16,9 +16,8 @@ from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.record_checks import TRAJECTORY, DataFault, magnitude_fault, start_fault
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.curves import curve_of
-from sim_heating.closure.prior.findings import table_error, table_findings
 from sim_heating.closure.prior.model_error import SmoothFlightError
-from sim_heating.closure.prior.table import table_prior
+from sim_heating.closure.prior.table import table_error, table_findings, table_prior
 from sim_heating.closure.result import (
     NONE,
     PARTLY,
@@ -445,6 +444,7 @@ def joint_closure_of(
     shares = posteriors({" + ".join(h.names): h.score for h in search.hypotheses if h.admissible} | {NONE: 0.0})
     none = _candidate_score(NONE, 0.0, search.none.by_record, shares)
     not_effects = _common_not_effects(best, estimated) if search.explained else []
+    noted = [] if fitted is None else remarks(fitted)
     return JointClosure(
         closures=closures,
         search=search,
@@ -459,7 +459,7 @@ def joint_closure_of(
         ],
         parameters=estimated,
         after=after,
-        warnings=() if fitted is None else _warnings(fitted),
+        warnings=() if fitted is None else [*(r.in_words for r in noted), *further_warnings(fitted.warnings, noted)],
         flights={} if fitted is None else _flights(fitted),
     )
 
@@ -475,12 +475,6 @@ def _flights(fitted: FitResult) -> dict[str, dict[str, tuple[float, float] | Non
         covariance = fitted.fit.covariance[np.ix_(at, at)]
         flights[fit.record.flight] = told_flight(error.flight, fitted.fit.values[at], covariance)
     return flights
-
-
-def _warnings(fitted: FitResult) -> list[str]:
-    """Warnings on a joint fit, and remarks on its estimates."""
-    of_estimates = remarks(fitted)
-    return [*(r.in_words for r in of_estimates), *further_warnings(fitted.warnings, of_estimates)]
 
 
 def _experiments(closures: Sequence[Closure], alternatives: Sequence[Sequence[str]]) -> list[Experiment]:

@@ -28,8 +28,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
-from sim_heating.closure.prior.model_error import MEASURED_FLIGHT
-from sim_heating.closure.prior.stated_error import other_flight, stated_error
+from sim_heating.closure.prior.model_error import MEASURED_FLIGHT, other_flight, stated_error
 from sim_heating.closure.revise.evidence import fitted_use
 from sim_heating.credibility.facts.contributors import SCALE, dispersed_temperatures, varied_models
 from sim_heating.estimation.inference.error_likelihood import STEP, scaled_heating

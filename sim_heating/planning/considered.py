@@ -25,7 +25,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, roots_of
 from sim_heating.base.parameters import AT
-from sim_heating.closure.prior.stated_error import stated_error
+from sim_heating.closure.prior.model_error import stated_error
 from sim_heating.closure.revise.evidence import OF_START, fitted_use
 from sim_heating.closure.revise.update import as_fitted, stated_record
 from sim_heating.credibility.facts.contributors import WALL

@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.closure.prior.findings import table_error, table_findings
 from sim_heating.closure.prior.flown_path import FlownPath, projection, record_path
-from sim_heating.closure.prior.table import DEFAULT_SIGMA, _of_default_sigma, table_prior, undeclared_derivatives
+from sim_heating.closure.prior.table import (
+    DEFAULT_SIGMA,
+    _of_default_sigma,
+    table_error,
+    table_findings,
+    table_prior,
+    undeclared_derivatives,
+)
 from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, fitted_values, table_log_prior

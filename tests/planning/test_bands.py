@@ -12,7 +12,7 @@ import pytest
 from scipy.special import ndtr
 
 from sim_heating import cli
-from sim_heating.closure.prior.stated_error import other_flight
+from sim_heating.closure.prior.model_error import other_flight
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.report.estimate_file import read_estimate, write_estimate
 from sim_heating.estimation.report.report import estimate_contents

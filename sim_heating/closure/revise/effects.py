@@ -73,12 +73,6 @@ def parameter_values(used: EffectUse) -> dict[str, float]:
     return {p.name: v for p, v in zip(used.effect.parameters, used.values, strict=True)}
 
 
-def _shift_sigmas(estimate: Estimate, values: Mapping[str, float]) -> dict[str, float]:
-    """Distance of values from the estimates, in their standard deviations [-], where these are above 0."""
-    estimates = {n: estimate.parameters[n] for n in values if estimate.parameters[n].sigma > 0.0}
-    return {n: abs(values[n] - p.value) / p.sigma for n, p in estimates.items()}
-
-
 def effects_from_fit(
     estimate: Estimate,
     flight: FlightEvidence,
@@ -104,9 +98,10 @@ def effects_from_fit(
     every = _values_given_table(estimate, flight, table, turbulent)
     given_table = {n: v for n, v in every.items() if n.removeprefix(EFFECT_PREFIX).rpartition(".")[0] not in in_table}
     stays = (flight.path, point, table) if turbulent is None else None
-    estimated = _parameters_by_effect(given_table)
+    estimated, estimates = _parameters_by_effect(given_table), {n: estimate.parameters[n] for n in given_table}
     in_force = {e.name: e.parameters for e in estimate.effects}
-    fitted, not_written = [], _record_parameters(estimate)
+    stems = (*RECORD_PARAMETERS, SENSOR_PREFIX)
+    fitted, not_written = [], dict.fromkeys((n for n in estimate.parameters if n.startswith(stems)), OF_RECORD)
     for name in dict.fromkeys((*in_force, *estimated)):
         if name in in_table:
             continue
@@ -132,7 +127,7 @@ def effects_from_fit(
         before=point.effects,
         after=after,
         written=tuple(u.effect.name for u in fitted),
-        shift_sigmas=_shift_sigmas(estimate, given_table),
+        shift_sigmas={n: abs(given_table[n] - p.value) / p.sigma for n, p in estimates.items() if p.sigma > 0.0},
         not_written=not_written,
         not_fitted=tuple(u.effect.name for u in point.effects if u.effect.name not in {*in_force, *estimated}),
     )
@@ -220,12 +215,6 @@ def _parameters_by_effect(values: Mapping[str, float]) -> dict[str, dict[str, fl
         name, _, parameter = label.removeprefix(EFFECT_PREFIX).rpartition(".")
         by_effect.setdefault(name, {})[parameter] = value
     return by_effect
-
-
-def _record_parameters(estimate: Estimate) -> dict[str, str]:
-    """Parameters of clocks and sensors, which are not written, with the reason."""
-    stems = (*RECORD_PARAMETERS, SENSOR_PREFIX)
-    return dict.fromkeys((n for n in estimate.parameters if n.startswith(stems)), OF_RECORD)
 
 
 def _merged(declared: Sequence[EffectUse], fitted: Sequence[EffectUse]) -> tuple[EffectUse, ...]:

@@ -42,10 +42,10 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
     """
     errors: dict[str, dict[str, Any]] = {}
     for record in records:
-        _check_comparable(update, record)
-        residuals = {}
-        for when, (model, flow) in _models(update, record).items():
-            residuals[when] = _residual_K(record, model, flow)
+        if record.declared.control_point != update.point.name:
+            point = record.declared.control_point
+            raise InputError(f"{record.name}: is of {point}, the table is that of {update.point.name}")
+        residuals = {when: _residual_K(record, *model) for when, model in _models(update, record).items()}
         masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
         errors[record.name] = {
             segment: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for segment, mask in masks.items()
@@ -58,13 +58,6 @@ def _models(update: TableUpdate, record: Record) -> dict[str, tuple[PointModel, 
     model, flow = point_with_vehicle_table(record, update.vehicle)
     revised = replace(model, ratio=update.table, effects=update.effects.after)
     return {"before": (model, flow), "after": (revised, update.flow_after)}
-
-
-def _check_comparable(update: TableUpdate, record: Record) -> None:
-    """Check that a record is of the control point of the update."""
-    point = record.declared.control_point
-    if point != update.point.name:
-        raise InputError(f"{record.name}: is of {point}, the table is that of {update.point.name}")
 
 
 def rmse_with_tables_K(record: Record, vehicle: Vehicle, start: FittedStart | None = None) -> float:

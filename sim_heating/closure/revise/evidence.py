@@ -89,7 +89,8 @@ class FlightEvidence:
         with_effects : whether the tables include the effects that the estimate adds to them
         The errors of the two tables are taken to be one: their sigmas are added.
         """
-        parts = [(laminar, self._laminar_part)]
+        laminar_part = np.ones(len(self.path.x)) if self.turbulent is None else 1.0 - self.path.turbulent
+        parts = [(laminar, laminar_part)]
         if turbulent is not None:
             parts.append((turbulent, self.path.turbulent / self.path.by_table))
         at_zero = self.at_zero if with_effects else self.P @ self.path.declared
@@ -106,10 +107,6 @@ class FlightEvidence:
         flown = self.laminar or self.turbulent
         k = len(self.names)
         return np.zeros((k, k)) if flown is None else flown.form_covariance(self.names)
-
-    @property
-    def _laminar_part(self) -> FloatArray:
-        return np.ones(len(self.path.x)) if self.turbulent is None else 1.0 - self.path.turbulent
 
 
 def is_effect(label: str) -> bool:

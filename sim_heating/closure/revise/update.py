@@ -27,8 +27,7 @@ from sim_heating.closure.result import PARTLY, UNKNOWN
 from sim_heating.closure.revise.checks import check_estimate
 from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit, parameter_values
 from sim_heating.closure.revise.evidence import FlightEvidence, flight_evidence, is_effect
-from sim_heating.closure.revise.flown_ratio import FlownRatio
-from sim_heating.closure.revise.nodes import added_nodes, axes_for
+from sim_heating.closure.revise.flown_ratio import FlownRatio, added_nodes, axes_for
 from sim_heating.closure.revise.revision_file import RevisionFile, UsedRecord, stored_evidence
 from sim_heating.closure.revise.revisions import (
     FOLDER,
