@@ -76,7 +76,6 @@ def make_and_close(task: tuple[int, int, str]) -> bytes:
         "true_statistic": None if answer["effect"] == UNKNOWN else of_truth.adequacy.statistic,
         "accepted": answer.get("accepted", [answer["effect"]]), "separable": answer.get("separable", True),
         "residual_over_floor": answer.get("residual_over_floor"), "noise_colour": answer["noise_colour"],
-        "lag1_autocorrelation": found.base.lag1_autocorrelation,
         "after": after, "truth": answer["true_rmse_K"], "known": known,
         "rounds": [
             {

@@ -38,7 +38,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_effects,
     fitted_values,
     sample_count,
-    with_flight_scale,
+    with_error,
 )
 from sim_heating.closure.statement import closure_of, is_exact, joint_closure_of, probability_of
 from sim_heating.closure.verdict.policy import POLICY
@@ -193,10 +193,13 @@ def _declared(result: SearchResult) -> FitResult:
     none, compared = result.none.last, result.compared.last.record_fit.model_error
     if is_exact(none):
         return result.before
-    return _with_error(result.record, none if compared is None else with_flight_scale(none, compared.flight_scale))
+    error = none.record_fit.model_error
+    if compared is not None and error is not None:
+        none = with_error(none, error.of_size(error.sigma, error.correlation_s, compared.flight_scale))
+    return _fit_whole(result.record, none)
 
 
-def _with_error(record: Record, trial: TrialFit) -> FitResult:
+def _fit_whole(record: Record, trial: TrialFit) -> FitResult:
     """The whole record fitted with the model of a trial, and with the error that this has."""
     return fit_problem(_whole_problem(record, trial), trial.fit.values, settings=REFIT)
 
@@ -241,7 +244,7 @@ def refit(result: SearchResult) -> FitResult:
         return declared_fit(record, [*result.before.labels, *change.free] or None)
     last = best.last
     if not is_exact(last):
-        return _with_error(record, last)
+        return _fit_whole(record, last)
     in_model = best.changed.estimates if best.changed is not None and change is not None and change.in_model else []
     return estimate(
         [record],

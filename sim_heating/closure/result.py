@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -121,10 +121,6 @@ class Barred:
     reason: str
     delta_evidence: float
 
-    def as_json(self) -> dict[str, Any]:
-        """Its entry in closure.json."""
-        return {"names": list(self.names), "reason": self.reason, "delta_evidence": self.delta_evidence}
-
 
 @dataclass(frozen=True)
 class Statement:
@@ -176,10 +172,10 @@ class Statement:
             "probability": self.probability,
             "not_effects": [n.as_json() for n in self.not_effects],
             "converged": self.converged,
-            "would_tell_apart": [e.as_json() for e in self.would_tell_apart],
+            "would_tell_apart": [asdict(e) for e in self.would_tell_apart],
             "resembles": list(self.resembles),
             "model_error": None if self.model_error is None else self.model_error.as_json(),
-            "barred": [b.as_json() for b in self.barred],
+            "barred": [asdict(b) for b in self.barred],
         }
 
     @property

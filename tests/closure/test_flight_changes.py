@@ -162,7 +162,7 @@ def test_the_drag_tells_a_layer_of_density_from_an_error_of_the_velocity():
     layer, excursion = flight.smooth_layer(62e3, 70e3), flight.velocity_excursion(650.0, 850.0)
     recorded = layer.apply(CLEAN, 0.85)
     evidence = [
-        flight.motion_evidence(recorded, replace(fits[0], change=change, value=value))
+        flight.judged_by_motion(recorded, replace(fits[0], change=change, value=value))[0]
         for change, value in ((layer, 1.0 / 0.85), (excursion, 1.03))
     ]
     assert evidence[0] < -10.0
@@ -172,7 +172,7 @@ def test_the_drag_tells_a_layer_of_density_from_an_error_of_the_velocity():
 def test_the_motion_says_nothing_on_one_factor_of_all_density():
     fit = in_thin_air()[1][0]
     assert fit.change.what == "density of the flight conditions"
-    assert flight.motion_evidence(CLEAN, fit) == pytest.approx(0.0, abs=1e-6)
+    assert flight.judged_by_motion(CLEAN, fit)[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_an_angle_of_attack_that_was_smoothed_is_sharpened_again():
@@ -190,7 +190,7 @@ def test_a_change_that_was_not_flown_is_contradicted_by_the_motion():
     fit = in_thin_air()[1][0]
 
     def contradicted(record: Record, change: RecordChange, value: float) -> list[str]:
-        return flight.contradicted_by_motion(record, replace(fit, change=change, value=value))
+        return flight.judged_by_motion(record, replace(fit, change=change, value=value))[1]
 
     layer, excursion = flight.density_layer(62e3, 68e3), flight.velocity_excursion(600.0, 800.0)
     (line,) = contradicted(CLEAN, layer, 1.2)

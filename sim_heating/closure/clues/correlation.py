@@ -179,7 +179,7 @@ class ResidualEvidence:
             "trials_factor": self.trials_factor,
             "p_value": self.p_value,
             "active": [{k: None if v != v else v for k, v in asdict(a).items()} for a in self.active],
-            "hysteresis": [loop.as_json() for loop in self.loops],
+            "hysteresis": [asdict(loop) for loop in self.loops],
             "negative_ratio_s": self.negative_s,
             "axial_steps": None if self.axial is None else [asdict(s) for s in self.axial],
             **({"left_out": dict(self.left_out)} if self.left_out else {}),

@@ -231,14 +231,8 @@ def _hydrostatics(flown: Conditions, *, half_window_m: float = 1500.0) -> _Relat
     fell, weighed = (np.interp(ends[1], level, v) - np.interp(ends[0], level, v) for v in (log_p, -column))
     deviation = np.zeros(len(flown))
     deviation[judged] = np.divide(fell, weighed, out=np.ones_like(fell), where=weighed > 0.0) - 1.0
-    return _Relation(
-        "hydrostatics",
-        "the fall of pressure over the weight of the air is",
-        deviation,
-        judged,
-        0.05,
-        noise=_noise(z_all) / half_window_m,
-    )
+    words, noise = "the fall of pressure over the weight of the air is", _noise(z_all) / half_window_m
+    return _Relation("hydrostatics", words, deviation, judged, 0.05, noise=noise)
 
 
 def _gravity(z_m: FloatArray) -> FloatArray:
@@ -269,14 +263,8 @@ def _enthalpy(flown: Conditions) -> _Relation | None:
     judged = _hypersonic(flown)
     kinetic = 0.5 * flown["velocity_m_s"] ** 2
     deviation, noise = _from_smooth(flown, flown["H_r_J_kg"] - CP_AIR * flown["T_inf_K"], kinetic, judged)
-    return _Relation(
-        "enthalpy",
-        "recovery enthalpy over V^2/2 is",
-        deviation,
-        judged,
-        0.02,
-        noise=np.hypot(noise, 2.0 * _of_speed(flown)),
-    )
+    words, noise = "recovery enthalpy over V^2/2 is", np.hypot(noise, 2.0 * _of_speed(flown))
+    return _Relation("enthalpy", words, deviation, judged, 0.02, noise=noise)
 
 
 def _path(flown: Conditions) -> _Relation | None:
@@ -300,9 +288,8 @@ def _drag(flown: Conditions, *, least_drag_m_s2: float = 0.5) -> _Relation:
     judged = _hypersonic(flown) & (drag > least_drag_m_s2)
     deviation, model = _from_smooth(flown, drag, q, judged, smooth=True)
     noise = np.divide(_slope_noise("velocity_m_s", flown), drag, out=np.zeros(len(drag)), where=judged)
-    return _Relation(
-        "drag", "deceleration over dynamic pressure is", deviation, judged, 0.05, noise=np.hypot(noise, model)
-    )
+    words = "deceleration over dynamic pressure is"
+    return _Relation("drag", words, deviation, judged, 0.05, noise=np.hypot(noise, model))
 
 
 def _axial(flown: Conditions, *, least_sensed_m_s2: float = 0.05) -> _Relation | None:
@@ -313,14 +300,8 @@ def _axial(flown: Conditions, *, least_sensed_m_s2: float = 0.05) -> _Relation |
     acceleration = G0_M_S2 * flown["axial_accel_g"]
     judged = _hypersonic(flown) & (acceleration > least_sensed_m_s2)
     deviation, noise = _from_smooth(flown, acceleration, q, judged)
-    return _Relation(
-        "axial force",
-        "axial acceleration over dynamic pressure is",
-        deviation,
-        judged,
-        0.1,
-        noise=np.hypot(noise, 2.0 * _of_speed(flown)),
-    )
+    words, noise = "axial acceleration over dynamic pressure is", np.hypot(noise, 2.0 * _of_speed(flown))
+    return _Relation("axial force", words, deviation, judged, 0.1, noise=noise)
 
 
 RELATIONS: tuple[Callable[[Conditions], _Relation | None], ...] = (

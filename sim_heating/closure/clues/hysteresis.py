@@ -13,8 +13,7 @@ over the manoeuvre, by generalised least squares with the covariance of delta_ra
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import stdtr
@@ -61,10 +60,6 @@ class HysteresisLoop:
             f"{abs(self.filled):.0%} of its box ({abs(self.z):.1f} sigma). This "
             "indicates an error of the thermal model, a clock or a lag, not of the heating table."
         )
-
-    def as_json(self) -> dict[str, Any]:
-        """Its fields for closure.json."""
-        return asdict(self)
 
 
 def hysteresis_loops(residual: ResidualHeating, variables: Mapping[str, FloatArray]) -> list[HysteresisLoop]:

@@ -39,19 +39,27 @@ class DataFault:
     message: str
 
 
-def clock_fault(record: Record, *, min_correlation: float = 0.9, max_span_ratio: float = 8.0) -> DataFault | None:
+def clock_fault(
+    record: Record,
+    *,
+    min_correlation: float = 0.9,
+    max_span_ratio: float = 8.0,
+    min_entry_speed_m_s: float = 1000.0,
+) -> DataFault | None:
     """Clocks of measurements and conditions in different units; None where their spans agree or no unit fits.
 
     min_correlation : correlation of measured and predicted temperatures that confirms another unit of a clock
     max_span_ratio : spans of measurements and conditions that differ by more than this factor are on clocks of two
         units
+    min_entry_speed_m_s : velocity below which a record is a ground test [m/s]
     """
     read_s, flown_s = float(np.ptp(record.time_s)), float(np.ptp(record.conditions.time_s))
     if read_s <= 0.0 or flown_s <= 0.0 or 1.0 / max_span_ratio < read_s / flown_s < max_span_ratio:
         return None
     deceleration = float(np.ptp(record.conditions["velocity_m_s"])) / flown_s
     # the conditions are right where their clock makes a possible flight; the measurements' clock is then at fault
-    conditions_right = _is_ground_test(record) or _is_entry(deceleration)
+    is_ground_test = bool(record.conditions["velocity_m_s"].max() < min_entry_speed_m_s)
+    conditions_right = is_ground_test or 0.05 < deceleration < 300.0
     for unit, seconds in UNITS.items():
         for factor in (seconds, 1.0 / seconds):
             if not 1.0 / max_span_ratio < factor * read_s / flown_s < 1.2:
@@ -68,15 +76,6 @@ def clock_fault(record: Record, *, min_correlation: float = 0.9, max_span_ratio:
                     f"(correlation {correlation:.2f}). Give time_s in s.",
                 )
     return None
-
-
-def _is_ground_test(record: Record, *, min_entry_speed_m_s: float = 1000.0) -> bool:
-    """Whether the velocity of a record stays below that of any entry."""
-    return bool(record.conditions["velocity_m_s"].max() < min_entry_speed_m_s)
-
-
-def _is_entry(deceleration_m_s2: float) -> bool:
-    return 0.05 < deceleration_m_s2 < 300.0
 
 
 def _correlation_at(record: Record, factor: float, conditions_right: bool) -> float:

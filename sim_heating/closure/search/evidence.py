@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from scipy.special import chdtrc
 
@@ -94,30 +95,27 @@ def evidence_of_records(
     evidence = []
     for i, by_itself in enumerate(evidence_without_cause(alone)):
         fitted_alone, with_members = (trials.get(id(m.get(i))) for m in (free, pinned))
-        evidence.append(
-            replace(
-                _with_values(by_itself, i, none, best, fitted_alone, with_members), member=i in best.members,
-                over_rival=None if rival is None else float(rival.shares[i] - best.shares[i]),
-            )
-        )  # fmt: skip
+        by_values = _by_values(i, none, best, fitted_alone, with_members)
+        over_rival = None if rival is None else float(rival.shares[i] - best.shares[i])
+        evidence.append(replace(by_itself, member=i in best.members, over_rival=over_rival, **by_values))
     return evidence
 
 
-def _with_values(
-    evidence: Evidence, i: int, none: Hypothesis, best: Hypothesis, free: TrialFit | None, pinned: TrialFit | None
-) -> Evidence:
-    """Evidence of record i with what it says of the best hypothesis, and with which values.
+def _by_values(
+    i: int, none: Hypothesis, best: Hypothesis, free: TrialFit | None, pinned: TrialFit | None
+) -> dict[str, Any]:
+    """What record i says of the best hypothesis, and with which values: fields of its evidence.
 
     free : the cause fitted to this record alone;  pinned : with the others' values, if it is no member; None where
            that cannot be marched
     """
     assert best.model is not None
     names, member = best.model.cause.candidate.names, i in best.members
-    evidence = replace(evidence, for_cause=float(-best.shares[i] if member else 0.0))
+    fields: dict[str, Any] = {"for_cause": float(-best.shares[i] if member else 0.0)}
     if free is None:
-        return evidence
+        return fields
     sigma = dict(zip(free.fit.names, free.fit.sigma.tolist(), strict=True))
-    evidence = replace(evidence, own={n: (float(v), sigma[n]) for n, v in fitted_values(free).items() if n in names})
+    fields["own"] = {n: (float(v), sigma[n]) for n, v in fitted_values(free).items() if n in names}
     scale = max(1.0, 1.0 + free.excess_chi2)
     common = [
         u for u in best.model.problem.unknowns
@@ -125,11 +123,11 @@ def _with_values(
     ]  # fmt: skip
     if member and common:
         lost = max(free.fit.log_likelihood - best.each[i].fit.log_likelihood, 0.0)
-        evidence = replace(evidence, agreement=float(chdtrc(len(common), 2.0 * lost / scale)))
-    if pinned is None:
-        return evidence
-    gained = pinned.fit.log_likelihood - none.each[i].fit.log_likelihood
-    return replace(evidence, for_cause=float(2.0 * gained / scale))
+        fields["agreement"] = float(chdtrc(len(common), 2.0 * lost / scale))
+    if pinned is not None:
+        gained = pinned.fit.log_likelihood - none.each[i].fit.log_likelihood
+        fields["for_cause"] = float(2.0 * gained / scale)
+    return fields
 
 
 def _values(h: Hypothesis) -> dict[str, float]:

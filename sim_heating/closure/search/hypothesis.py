@@ -260,16 +260,17 @@ def change_hypothesis(
 
 
 def joint_hypothesis(
-    model: JointModel, fit: Fit, bases: Sequence[TrialFit], alone: Sequence[tuple[TrialFit, float]]
+    none: Hypothesis, model: JointModel, fit: Fit, alone: Sequence[tuple[TrialFit, float]] = ()
 ) -> Hypothesis:
     """The hypothesis that a cause is common to some of several records, with the objections to it.
 
-    fit   : of the model;  bases : by record, the declared model
-    alone : by record, the trial of its own explanation and the score of that, for records that are no members
+    none  : the declared models;  fit : of the model
+    alone : by record, the trial of its own explanation and the score of that, for records that are no members; by
+            default the declared models
     """
-    each, cause = [trial for trial, _ in alone], model.cause
-    trials = model.split(fit)
-    gained = sum(t.fit.log_likelihood - bases[i].fit.log_likelihood for i, t in zip(model.members, trials, strict=True))
+    alone, cause, trials = alone or [(base, 0.0) for base in none.each], model.cause, model.split(fit)
+    each, declared = [trial for trial, _ in alone], [none.each[i] for i in model.members]
+    gained = sum(t.fit.log_likelihood - b.fit.log_likelihood for t, b in zip(trials, declared, strict=True))
     against: list[tuple[str, ...]] = []
     judged = cause.candidates
     if cause.kind == "wall":  # far from its declared scatter a wall is fined, as in the search of one record

@@ -35,7 +35,7 @@ from sim_heating.closure.search.ranking import scatter_price
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
-from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count, with_error
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, over_both, sample_count, with_error
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.heating.effects import effects
@@ -77,14 +77,13 @@ def search_jointly(alone: Sequence[SearchResult], *, progress: Progress = no_pro
     bases = with_common_flights(alone)
     none = Hypothesis((bases[0],), each=tuple(bases), alone=(0.0,) * len(bases))
     progress(0.05, "causes in all records together")
-    ranked = _best_of_each(none, _hypotheses(_fitted(leading_causes(alone), bases), bases))
+    fits = _fitted(leading_causes(alone), bases)
+    ranked = _best_of_each(none, [joint_hypothesis(none, model, fit) for model, fit in fits])
     progress(0.5, "parameters of each record's own")
-    ranked = _best_of_each(
-        none, [*_with_own_parameters(none, ranked[: EFFORT.rivals], bases), *ranked[EFFORT.rivals :]]
-    )
+    ranked = _best_of_each(none, [*_with_own_parameters(none, ranked[: EFFORT.rivals]), *ranked[EFFORT.rivals :]])
     progress(0.75, "records without the cause")
     explanations = [_own_explanation(result) for result in alone]
-    without = [_without_records(none, h, bases, explanations) for h in ranked[: EFFORT.starts]]
+    without = [_without_records(none, h, explanations) for h in ranked[: EFFORT.starts]]
     if without:
         best = scored(none, [*without, *ranked])[0]
         # the others are compared over all records: what one of them leaves out may be explained by the best itself
@@ -105,11 +104,9 @@ def with_common_flights(alone: Sequence[SearchResult]) -> list[TrialFit]:
     bases = [_with_size(result, _flight_scale(result.record.flight, alone)) for result in alone]
     flights = [b.record_fit.record.flight for b in bases]
     shared = [
-        b if flights.count(flight) < 2 else replace(
-            b, problem=b.problem.with_flight_unknowns(), held_out=b.held_out and b.held_out.with_flight_unknowns()
-        )
+        b if flights.count(flight) < 2 else over_both(b, lambda problem: problem.with_flight_unknowns())
         for b, flight in zip(bases, flights, strict=True)
-    ]  # fmt: skip
+    ]
     members = [i for i, b in enumerate(shared) if b.record_fit.flight_names]
     if not members:
         return bases
@@ -150,12 +147,6 @@ def _with_size(result: SearchResult, flight_scale: float) -> TrialFit:
     return replace(with_error(base, error.of_size(sigma, correlation_s, flight_scale)), size=size)
 
 
-def _hypotheses(fits: Sequence[tuple[JointModel, Fit]], bases: Sequence[TrialFit]) -> list[Hypothesis]:
-    """Hypotheses of fitted models; records that are no members have their declared models."""
-    declared = [(base, 0.0) for base in bases]
-    return [joint_hypothesis(model, fit, bases, declared) for model, fit in fits]
-
-
 def _best_of_each(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The best hypothesis of each cause, best first."""
     best: dict[frozenset[str], Hypothesis] = {}
@@ -173,6 +164,26 @@ def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
     Those that a record alone may not name are among them: what one record cannot tell, several may. A cause is left out
     where the sum of its scores in each record alone, less what common parameters save, is far above that of the best.
     """
+    causes, scores = _proposed_causes(alone)
+    by_names = {names: [c for c in causes if frozenset(c.names) == names][: EFFORT.starts] for names in scores}
+    log_n = math.log(sample_count(alone[0].none.last.problem))
+
+    def reached(i: int, names: frozenset[str]) -> float:
+        # several effects explain at least what each of them does
+        return scores[names].get(i, min((scores[n].get(i, 0.0) for n in scores if n < names), default=0.0))
+
+    def bound(names: frozenset[str]) -> float:
+        common = max(sum(level != RECORD for level in c.widest.values()) for c in by_names[names])
+        return sum(reached(i, names) for i in range(len(alone))) - (len(alone) - 1) * common * log_n
+
+    order = sorted(scores, key=bound)
+    best = bound(order[0]) if order else 0.0
+    worst = max(POLICY.min_of_best * best, best + POLICY.rival_margin)
+    return [c for names in order[: EFFORT.compared] if bound(names) <= worst for c in by_names[names]]
+
+
+def _proposed_causes(alone: Sequence[SearchResult]) -> tuple[list[Cause], dict[frozenset[str], dict[int, float]]]:
+    """The causes that any record proposes, in each form once, and by their names the score in each record."""
     one_point = len({result.record.declared.control_point for result in alone}) == 1
     causes: dict[tuple[object, ...], Cause] = {}
     scores: dict[frozenset[str], dict[int, float]] = {}
@@ -193,21 +204,7 @@ def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
         forms = [c.values for c in causes.values() if (c.names, c.candidate.names) == same]
         elsewhere = {i: values for by_record in reversed(forms) for i, values in by_record.items()}
         causes[form] = replace(cause, values=elsewhere | dict(cause.values))
-    by_names = {names: [c for c in causes.values() if frozenset(c.names) == names][: EFFORT.starts] for names in scores}
-    log_n = math.log(sample_count(alone[0].none.last.problem))
-
-    def reached(i: int, names: frozenset[str]) -> float:
-        # several effects explain at least what each of them does
-        return scores[names].get(i, min((scores[n].get(i, 0.0) for n in scores if n < names), default=0.0))
-
-    def bound(names: frozenset[str]) -> float:
-        common = max(sum(level != RECORD for level in c.widest.values()) for c in by_names[names])
-        return sum(reached(i, names) for i in range(len(alone))) - (len(alone) - 1) * common * log_n
-
-    order = sorted(scores, key=bound)
-    best = bound(order[0]) if order else 0.0
-    worst = max(POLICY.min_of_best * best, best + POLICY.rival_margin)
-    return [c for names in order[: EFFORT.compared] if bound(names) <= worst for c in by_names[names]]
+    return list(causes.values()), scores
 
 
 def _cause_of_trial(trial: TrialFit, forms: Mapping[str, int]) -> tuple[Cause, float, dict[str, float]]:
@@ -260,14 +257,14 @@ def _fitted(causes: Sequence[Cause], bases: Sequence[TrialFit]) -> list[tuple[Jo
 # Parameters of each record, and records without the cause -------------------------------------------------------------
 
 
-def _with_own_parameters(none: Hypothesis, ranked: Sequence[Hypothesis], bases: Sequence[TrialFit]) -> list[Hypothesis]:
+def _with_own_parameters(none: Hypothesis, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses with those parameters narrower that gain more than they cost.
 
     With all of them as narrow as they can be the likelihood is largest. Where that gains less than one more parameter
     costs, or does not bring a hypothesis near the best, it is left as it is; else they are tried one by one.
     """
-    models = [_narrowed(h, bases, None) for h in ranked]
-    narrowed = {k: _fit_narrower(ranked[k], [m], bases)[0] for k, m in enumerate(models) if m is not None}
+    models = [_narrowed(none, h, None) for h in ranked]
+    narrowed = {k: _fit_narrower(none, ranked[k], [m])[0] for k, m in enumerate(models) if m is not None}
     every = scored(none, [*ranked, *narrowed.values()])
     results, best = [], every[0].score if every else 0.0
     for k, h in enumerate(ranked):
@@ -279,23 +276,23 @@ def _with_own_parameters(none: Hypothesis, ranked: Sequence[Hypothesis], bases: 
         assert narrow.model is not None
         extra_cost = narrow.model.parameter_cost - wide.model.parameter_cost
         gained = wide.score - wide.price - (narrow.score - narrow.price) + extra_cost
-        costs = math.log(sample_count(bases[0].problem))
+        costs = math.log(sample_count(none.last.problem))
         near = wide.score - gained < best + POLICY.rival_margin
-        results.append(_one_by_one(none, h, narrowed[k], bases) if gained > costs and near else h)
+        results.append(_one_by_one(none, h, narrowed[k]) if gained > costs and near else h)
     return results
 
 
-def _one_by_one(none: Hypothesis, h: Hypothesis, narrowest: Hypothesis, bases: Sequence[TrialFit]) -> Hypothesis:
+def _one_by_one(none: Hypothesis, h: Hypothesis, narrowest: Hypothesis) -> Hypothesis:
     """The best of a hypothesis, of it with all parameters as narrow as they can be, and with one after the other."""
     best = scored(none, [h, narrowest])[0]
     at = h
     while at.model is not None:
-        models = [m for name in at.model.levels if (m := _narrowed(at, bases, name)) is not None]
+        models = [m for name in at.model.levels if (m := _narrowed(none, at, name)) is not None]
         models = [m for m in models if narrowest.model is None or m.levels != narrowest.model.levels]  # fitted already
         if not models:
             break
         price = 2.0 * math.log(len(models) + 1)
-        tried = [replace(x, price=x.price + price) for x in _fit_narrower(at, models, bases)]
+        tried = [replace(x, price=x.price + price) for x in _fit_narrower(none, at, models)]
         ranked = scored(none, [best, at, *tried])
         best = ranked[0]
         following = next(r for r in ranked if any(r.model is t.model for t in tried))
@@ -305,11 +302,11 @@ def _one_by_one(none: Hypothesis, h: Hypothesis, narrowest: Hypothesis, bases: S
     return best
 
 
-def _fit_narrower(wider: Hypothesis, models: Sequence[JointModel], bases: Sequence[TrialFit]) -> list[Hypothesis]:
+def _fit_narrower(none: Hypothesis, wider: Hypothesis, models: Sequence[JointModel]) -> list[Hypothesis]:
     """Narrower models of a cause fitted from the values of a wider one, and from those that records found alone; of
     each the better, or the wider one where neither can be marched."""
     hypotheses = []
-    pairs = [(m, joint_model(m.cause, bases, m.members, m.levels)) for m in models]
+    pairs = [(m, joint_model(m.cause, none.each, m.members, m.levels)) for m in models]
     values = {i: fitted_values(wider.each[i]) for i in wider.members}
     alone = {i: {**v, **wider.model.cause.values.get(i, {})} for i, v in values.items() if wider.model}
     starts = [m.start(v) for pair in pairs for m, v in zip(pair, (values, alone), strict=True)]
@@ -317,18 +314,19 @@ def _fit_narrower(wider: Hypothesis, models: Sequence[JointModel], bases: Sequen
     for pair in pairs:
         either = [x for x in fitted if x[0] in pair]
         best = max(either, key=lambda x: x[1].log_likelihood, default=None)
-        hypotheses += [wider] if best is None else _hypotheses([best], bases)
+        hypotheses.append(wider if best is None else joint_hypothesis(none, *best))
     return hypotheses
 
 
-def _narrowed(h: Hypothesis, bases: Sequence[TrialFit], name: str | None) -> JointModel | None:
+def _narrowed(none: Hypothesis, h: Hypothesis, name: str | None) -> JointModel | None:
     """The model with one parameter a level narrower, or with all as narrow as they can be; None where none can."""
     if h.model is None:
         return None
-    records = [bases[i].problem.record_fits[0].record for i in h.model.members]
+    records = [none.each[i].record_fit.record for i in h.model.members]
     steps = {n: narrower_levels(level, records) for n, level in h.model.levels.items() if name in (None, n)}
     narrower = {n: s[-1] if name is None else s[0] for n, s in steps.items() if s}
-    return joint_model(h.model.cause, bases, h.model.members, {**h.model.levels, **narrower}) if narrower else None
+    levels = {**h.model.levels, **narrower}
+    return joint_model(h.model.cause, none.each, h.model.members, levels) if narrower else None
 
 
 def _own_explanation(result: SearchResult) -> tuple[TrialFit, float]:
@@ -337,28 +335,26 @@ def _own_explanation(result: SearchResult) -> tuple[TrialFit, float]:
     return (best.last, best.score) if result.explained else (result.none.last, 0.0)
 
 
-def _without_records(
-    none: Hypothesis, h: Hypothesis, bases: Sequence[TrialFit], explanations: Sequence[tuple[TrialFit, float]]
-) -> Hypothesis:
+def _without_records(none: Hypothesis, h: Hypothesis, explanations: Sequence[tuple[TrialFit, float]]) -> Hypothesis:
     """The hypothesis without the records that are better explained by what their own search found, one after another.
 
     A record is left out only where the score is lower by `Policy.min_gain` without it, and none where they have the
     error of a flight in common: all of them inform that.
     """
-    if any(base.record_fit.flight_names for base in bases):
+    if any(base.record_fit.flight_names for base in none.each):
         return h
     best = h
     while best.model is not None and len(best.members) > 1:
         model, models = best.model, []
         for i in model.members:
             rest = [j for j in model.members if j != i]
-            models.append(joint_model(model.cause, bases, rest, model.levels))
+            models.append(joint_model(model.cause, none.each, rest, model.levels))
         values = {i: fitted_values(best.each[i]) for i in model.members}
         # from what the remaining records found alone too: the one left out may have pulled the common values away
-        again = [joint_model(m.cause, bases, m.members, m.levels) for m in models]
+        again = [joint_model(m.cause, none.each, m.members, m.levels) for m in models]
         starts = [m.start(values) for m in models] + [m.start(m.cause.values) for m in again]
         tried = [
-            replace(joint_hypothesis(m, f, bases, explanations), price=best.price)
+            replace(joint_hypothesis(none, m, f, explanations), price=best.price)
             for m, f in refit_models([*models, *again], starts)
         ]
         ranked = scored(none, [best, *tried])

@@ -7,7 +7,7 @@ parameters are free, from where the leading one is and from the most promising s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,8 +28,7 @@ from sim_heating.closure.search.trials.trial_fit import (
 )
 from sim_heating.closure.verdict.adequacy import assess
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
-from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status
-from sim_heating.estimation.problem import FitProblem
+from sim_heating.estimation.inference.newton import NewtonSettings, Status
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.record import Record
 
@@ -42,36 +41,54 @@ def refine(
     base      : the model below;  trials : the best trial of each effect as the round left it
     tried     : all candidates of the round;  predicted : gain in log likelihood of each, predicted at its start
     """
-    gains = {t.name: t.fit.log_likelihood - base.fit.log_likelihood for t in trials}
-    best = max(gains.values(), default=0.0)
-    fraction = (
-        POLICY.min_of_adequate if any(_is_adequate(t) for t in trials if gains[t.name] == best) else POLICY.min_of_best
-    )
-    led = sorted(
-        (t for t in trials if gains[t.name] >= min(fraction * best, best - POLICY.rival_margin)),
-        key=lambda t: t.delta_bic,
-    )[: EFFORT.causes]
+    led = _leading(base, trials)
     forms = [(t, c, start) for t in led for c, start in _forms(base, t, tried, predicted)]
-    problems = [problem_with(base, c) for _, c, _ in forms]
-    firsts = [start_values(p, start) for p, (_, _, start) in zip(problems, forms, strict=True)]
     nameable = {t.name for t in led if not objections(t)}
     settings = [
         _unless_behind(base, t, c) if t.name in nameable and c is not t.candidate else CONVERGE for t, c, _ in forms
     ]
-    fits = maximise_together(problems, firsts, settings)
-    contenders = [_contender(base, c, p, fit) for (_, c, _), p, fit in zip(forms, problems, fits, strict=True)]
+    fitted = fit_converged([base] * len(forms), [c for _, c, _ in forms], [start for *_, start in forms], settings)
+    contenders = [_contender(t) for t in fitted]
     # the form that others fell behind may be one that may not be named any more
     named = {t.name for (t, c, _), k in zip(forms, contenders, strict=True) if c is t.candidate and k and k.admissible}
-    again = [k for k, (t, _, _) in enumerate(forms) if fits[k].status is Status.BEHIND and t.name not in named]
-    continued = maximise_together([problems[k] for k in again], [fits[k].values for k in again], CONVERGE)
+    again = [k for k, t in enumerate(fitted) if t.fit.status is Status.BEHIND and t.name not in named]
+    continued = maximise_together([fitted[k].problem for k in again], [fitted[k].fit.values for k in again], CONVERGE)
     for k, fit in zip(again, continued, strict=True):
-        contenders[k] = _contender(base, forms[k][1], problems[k], fit)
+        trial = fitted[k]
+        contenders[k] = _contender(replace(trial, fit=fit, delta_bic=delta_bic(base, fit, trial.candidate, 1.0)))
     by_name: dict[str, list[TrialFit]] = {}
     for contender in filter(None, contenders):
         by_name.setdefault(contender.name, []).append(contender)
-    chosen = [min(forms, key=lambda t: (not t.admissible, t.delta_bic)) for forms in by_name.values()]
+    chosen = [min(rivals, key=lambda t: (not t.admissible, t.delta_bic)) for rivals in by_name.values()]
     complete = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in chosen]
     return sorted(complete, key=lambda t: t.delta_bic)
+
+
+def fit_converged(
+    bases: Sequence[TrialFit],
+    candidates: Sequence[Candidate],
+    starts: Sequence[Mapping[str, float]],
+    settings: Sequence[NewtonSettings] | NewtonSettings = CONVERGE,
+) -> list[TrialFit]:
+    """Candidates fitted to convergence, each on top of its own model from values by dotted name, all side by side.
+
+    returns : by candidate, its trial, without samples held out
+    """
+    problems = [problem_with(*pair) for pair in zip(bases, candidates, strict=True)]
+    fits = maximise_together(problems, [start_values(*p) for p in zip(problems, starts, strict=True)], settings)
+    return [
+        TrialFit(c.name, c, problem, None, fit, delta_bic(base, fit, c, 1.0))
+        for base, c, problem, fit in zip(bases, candidates, problems, fits, strict=True)
+    ]
+
+
+def _leading(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:
+    """The trials of a round that may be the cause, one of two causes, or a rival, the lowest BIC first."""
+    gains = {t.name: t.fit.log_likelihood - base.fit.log_likelihood for t in trials}
+    best = max(gains.values(), default=0.0)
+    adequate = any(assess(t.fitted_samples).p_value >= POLICY.adequate_p for t in trials if gains[t.name] == best)
+    least = min((POLICY.min_of_adequate if adequate else POLICY.min_of_best) * best, best - POLICY.rival_margin)
+    return sorted((t for t in trials if gains[t.name] >= least), key=lambda t: t.delta_bic)[: EFFORT.causes]
 
 
 def _unless_behind(base: TrialFit, leading: TrialFit, candidate: Candidate) -> NewtonSettings:
@@ -82,11 +99,10 @@ def _unless_behind(base: TrialFit, leading: TrialFit, candidate: Candidate) -> N
     return replace(CONVERGE, needed_log_likelihood=needed_log_likelihood(base, candidate, leading.delta_bic))
 
 
-def _contender(base: TrialFit, candidate: Candidate, problem: FitProblem, fit: Fit) -> TrialFit | None:
-    """A candidate with its fit; None where it cannot be marched, or fell far behind."""
-    if fit.status is Status.BEHIND or not np.isfinite(fit.log_likelihood):
+def _contender(trial: TrialFit) -> TrialFit | None:
+    """A fitted candidate with the objections to it; None where it cannot be marched, or fell far behind."""
+    if trial.fit.status is Status.BEHIND or not np.isfinite(trial.fit.log_likelihood):
         return None
-    trial = TrialFit(candidate.name, candidate, problem, None, fit, delta_bic(base, fit, candidate, 1.0))
     return replace(trial, objections=objections(trial))
 
 
@@ -108,11 +124,6 @@ def recorrected(trial: TrialFit, record: Record) -> TrialFit:
         return trial
     delta = trial.delta_bic - 2.0 * (fit.log_likelihood - trial.fit.log_likelihood)
     return replace(again, fit=fit, delta_bic=delta)
-
-
-def _is_adequate(trial: TrialFit) -> bool:
-    """Whether a trial explains the fitted samples to their noise."""
-    return assess(trial.fitted_samples).p_value >= POLICY.adequate_p
 
 
 def _forms(

@@ -16,7 +16,7 @@ best change of the record, where that explains half of the residual.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -27,12 +27,7 @@ from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
 from sim_heating.closure.curves import curve_trials
-from sim_heating.closure.search.changes.flight_changes import (
-    contradicted_by_motion,
-    flight_changes,
-    lamp_changes,
-    motion_evidence,
-)
+from sim_heating.closure.search.changes.flight_changes import flight_changes, judged_by_motion, lamp_changes
 from sim_heating.closure.search.changes.property_shapes import shape_changes
 from sim_heating.closure.search.changes.record_change import fit_changes, with_own_corrections
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
@@ -49,28 +44,24 @@ from sim_heating.closure.search.hypothesis import (
     with_one_more,
 )
 from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, scored_trials
-from sim_heating.closure.search.refine import recorrected, refine
+from sim_heating.closure.search.refine import fit_converged, recorrected, refine
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
-from sim_heating.closure.search.trials.free_forms import FREE_FORMS, free_form, has_free_form
+from sim_heating.closure.search.trials.free_forms import free_form, has_free_form
 from sim_heating.closure.search.trials.history_starts import history_starts
 from sim_heating.closure.search.trials.screening import fit_in_stages, gains_from, predicted_gains, select_candidates
 from sim_heating.closure.search.trials.trial_fit import (
-    CONVERGE,
     TrialFit,
     base_trial,
     declared_fit,
     fitted_values,
     held_out_problem_with,
     is_fitted,
-    problem_with,
     sample_count,
-    start_values,
     with_own_error,
 )
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
-from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 
@@ -127,33 +118,19 @@ def search_effects(
     progress(0.02, "declared model")
     before = declared_fit(record, names)
     base = base_trial(before)
-    first = search_round(base, [], _part(progress, 0.1, 0.35, "one effect"))
-    singles = _refined(base, first, _part(progress, 0.35, 0.45, "one effect"))
-    none = hypothesis([base], {})
-    hypotheses = [hypothesis([t], first.forms) for t in singles]
+    first = search_round(base, [], _stage(progress, 0.1, 0.35, "one effect"))
+    search = _Search(record, first, hypothesis([base], {}))
+    hypotheses = [search.stack([t]) for t in _refined(first, _stage(progress, 0.35, 0.45, "one effect"))]
     discrepancies = flight_discrepancies(record.conditions)
-    hypotheses += _changes(before, base, singles, discrepancies, _explaining(hypotheses), progress)
-    rated = scored(none, hypotheses)
-    if _more_is_missing(none, rated):
-        hypotheses += _fitted_on(base, none, hypotheses, record, first.forms)
-        rated = scored(none, hypotheses)
-    if _more_is_missing(none, rated):
-        pairs = _with_one_more(_first_picks(hypotheses), first.forms, _part(progress, 0.5, 0.8, "two effects"))
-        rated = _accepted(none, [*hypotheses, *pairs])
-        if _more_is_missing(none, rated):
-            pairs += _fitted_on(base, none, pairs, record, first.forms)
-        hypotheses += pairs
-        rated = _accepted(none, hypotheses)
-        if _more_is_missing(none, rated) and len(rated[0].names) == 2 and rated[0].change is None:
-            triples = _with_one_more([list(rated[0].trials)], first.forms, _part(progress, 0.8, 0.9, "three effects"))
-            hypotheses += [*triples, *_recorrected(none, triples, record, first.forms)]
-        hypotheses += _pruned(base, _accepted(none, hypotheses), first.forms)
-        hypotheses += _exchanged(base, none, hypotheses, first, _part(progress, 0.85, 0.9, "rivals of the causes"))
-        rated = _accepted(none, hypotheses)
-        if _more_is_missing(none, rated):
-            hypotheses += _on_the_best_change(none, rated, _part(progress, 0.9, 0.95, "an effect besides a change"))
-            rated = _accepted(none, hypotheses)
-    none, rated = _judged(none, rated)
+    progress(0.45, "changes of the flight, the wall and the sensors")
+    hypotheses += _changes(before, base, hypotheses, discrepancies)
+    rated = scored(search.none, hypotheses)
+    if search.lacks_more(rated):
+        hypotheses += search.fitted_on(hypotheses)
+        rated = scored(search.none, hypotheses)
+    if search.lacks_more(rated):
+        rated = search.further_causes(hypotheses, progress)
+    none, rated = _judged(search.none, rated)
     conclusion, curve = conclude(none, rated), None
     if conclusion.finding in ("partly", "unknown"):
         progress(0.95, "a curve against the variable that the residual follows")
@@ -176,31 +153,28 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
     return none, scored(none, judged)
 
 
-def _part(progress: Progress, begin: float, end: float, label: str) -> Progress:
-    """Progress of a part of the search."""
+def _stage(progress: Progress, begin: float, end: float, label: str) -> Progress:
+    """Progress of a stage of the search."""
     return lambda fraction, text: progress(begin + (end - begin) * fraction, f"{label}: {text}")
 
 
 def _changes(
     baseline: FitResult,
     base: TrialFit,
-    singles: Sequence[TrialFit],
+    singles: Sequence[Hypothesis],
     discrepancies: Sequence[Discrepancy],
-    explained: Collection[str],
-    progress: Progress,
     *,
     change_shares: tuple[float, float] = (0.5, 0.25),
     shares_beside_adequate: tuple[float, float] = (0.8, 0.6),
 ) -> list[Hypothesis]:
     """Hypotheses that the record's flight, wall or sensors are other than declared.
 
-    explained : names of the effects that explain the record to its noise already: it needs no further forms of these
+    singles : of one effect each. Where one explains the record to its noise, it needs no further forms of that effect
     change_shares, shares_beside_adequate : parts of the best gain in log likelihood that a change of the record has to
         predict to be fitted: one without ends, and one whose ends can be moved, which gains more by that; the second
         two where an effect explains the record to its noise
     """
-    progress(0.45, "changes of the flight, the wall and the sensors")
-    record = base.record_fit.record
+    record, explained = base.record_fit.record, _explaining(singles)
     changes = [
         *flight_changes(record, discrepancies), *lamp_changes(record), *wall_changes(record), *shape_changes(record),
         *sensor_changes(base),
@@ -210,18 +184,13 @@ def _changes(
         if not (c.in_model and c.parameter and is_fitted(base, c.parameter.name))
         and not (c.free and (c.effect in explained or any(is_fitted(base, name) for name in c.free)))
     ]  # fmt: skip
-    best = max((t.fit.log_likelihood - base.fit.log_likelihood for t in singles), default=0.0)
-    least_fraction, near_share = shares_beside_adequate if explained else change_shares
-    fits = with_own_corrections(
-        baseline,
-        base,
-        fit_changes(base, changes, best, share=least_fraction, near_share=near_share, most=EFFORT.compared),
-    )
-    stated = baseline.problem.record_fits[0].record
-    tried = Counter(c.family for c in changes)
+    best = max((h.last.fit.log_likelihood - base.fit.log_likelihood for h in singles), default=0.0)
+    share, near_share = shares_beside_adequate if explained else change_shares
+    fits = fit_changes(base, changes, best, share=share, near_share=near_share, most=EFFORT.compared)
+    stated, tried = baseline.problem.record_fits[0].record, Counter(c.family for c in changes)
     return [
-        change_hypothesis(t, tried[t.change.family], motion_evidence(stated, t), contradicted_by_motion(stated, t))
-        for t in fits
+        change_hypothesis(t, tried[t.change.family], *judged_by_motion(stated, t))
+        for t in with_own_corrections(baseline, base, fits)
         if t.change is not None
     ]
 
@@ -240,35 +209,206 @@ def _candidates(base: TrialFit, excluded: Sequence[str]) -> list[Candidate]:
     return [c for c in tried if not any(is_fitted(base, name) for name in c.model_names)]
 
 
-def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
-    """Whether something is missing that no admissible hypothesis explains to the noise.
-
-    A curve may take up all of a second effect: it does not end the search.
-    """
-    if not rated or min(h.last.delta_bic for h in rated) > -POLICY.min_gain:
-        return False
-    best = rated[0]
-    return not (best.admissible and best.adequate) or has_free_form(best.last)
-
-
-def _refined(base: TrialFit, of_round: SearchRound, progress: Progress) -> list[TrialFit]:
+def _refined(of_round: SearchRound, progress: Progress) -> list[TrialFit]:
     """The leading candidates of a round, fitted to convergence."""
     progress(0.0, f"fitting the leading of {len(of_round.trials)} candidates to convergence")
-    return refine(base, of_round.trials, of_round.tried, of_round.predicted)
+    return refine(of_round.base, of_round.trials, of_round.tried, of_round.predicted)
 
 
-def _with_one_more(
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What models of several causes are built from.
+
+    record : with all samples of its conditions
+    first  : the pass over all candidates on top of the declared model
+    none   : the declared model
+    """
+
+    record: Record
+    first: SearchRound
+    none: Hypothesis
+
+    def stack(self, trials: Sequence[TrialFit], forms: Mapping[str, int] | None = None) -> Hypothesis:
+        """The hypothesis of effects, each fitted on top of those before.
+
+        forms : number of forms of each effect that were tried, where not in the first pass alone
+        """
+        return hypothesis(trials, {**self.first.forms, **(forms or {})})
+
+    def lacks_more(self, rated: Sequence[Hypothesis]) -> bool:
+        """Whether something is missing that no admissible hypothesis explains to the noise.
+
+        A curve may take up all of a second effect: it does not end the search.
+        """
+        if not rated or min(h.last.delta_bic for h in rated) > -POLICY.min_gain:
+            return False
+        best = rated[0]
+        return not (best.admissible and best.adequate) or has_free_form(best.last)
+
+    def further_causes(self, hypotheses: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
+        """Hypotheses with those of two causes and more, as far as these are accepted, best first."""
+        pairs = self.with_one_more(_first_picks(hypotheses), _stage(progress, 0.5, 0.8, "two effects"))
+        rated = _accepted(self.none, [*hypotheses, *pairs])
+        if self.lacks_more(rated):
+            pairs += self.fitted_on(pairs)
+        models = [*hypotheses, *pairs]
+        rated = _accepted(self.none, models)
+        if self.lacks_more(rated) and len(rated[0].names) == 2 and rated[0].change is None:
+            stage = _stage(progress, 0.8, 0.9, "three effects")
+            triples = self.with_one_more([list(rated[0].trials)], stage)
+            models += [*triples, *self.recorrected(triples)]
+        models += self.pruned(_accepted(self.none, models))
+        models += self.exchanged(models, _stage(progress, 0.85, 0.9, "rivals of the causes"))
+        rated = _accepted(self.none, models)
+        if self.lacks_more(rated):
+            models += self.on_the_best_change(rated, _stage(progress, 0.9, 0.95, "an effect besides a change"))
+            rated = _accepted(self.none, models)
+        return rated
+
+    def with_one_more(self, stacks: Sequence[Sequence[TrialFit]], progress: Progress) -> list[Hypothesis]:
+        """Hypotheses with one effect more on top of each of several stacks of effects, a round of each side by side.
+
+        stacks : effects, each fitted on top of those before
+        """
+        hypotheses, rounds = [], _rounds_on_top(stacks, progress)
+        progress(0.7, "fitting the leading ones to convergence")
+        leading = sorted(
+            ((t.fit.log_likelihood, i, t) for i, r in enumerate(rounds) for t in r.trials), key=lambda x: -x[0]
+        )
+        for i, of_round in enumerate(rounds):
+            trials = [t for _, j, t in leading[: EFFORT.causes] if j == i]
+            refined = refine(of_round.base, trials, of_round.tried, of_round.predicted) if trials else []
+            hypotheses += [self.stack([*stacks[i], t], of_round.forms) for t in _nameable_first(refined)]
+        return hypotheses
+
+    def fitted_on(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Hypotheses that explain most of the excess, fitted on: with their own mesh correction, and, where none of
+        these explains the record, with an effect in a free form."""
+        fitted = self.recorrected(hypotheses)
+        if not _explaining(fitted):
+            free = self.free_forms([*hypotheses, *fitted])
+            fitted += [*free, *self.recorrected(free)]
+        return fitted
+
+    def explaining_most(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Hypotheses of effects that explain most of the excess of the declared model, the best first."""
+        most = (1.0 - POLICY.min_explained_by_library) * self.none.excess_chi2
+        explaining = [h for h in hypotheses if h.change is None and h.excess_chi2 < most]
+        return sorted(explaining, key=lambda h: h.excess_chi2)
+
+    def recorrected(self, hypotheses: Sequence[Hypothesis], *, most: int = 4) -> list[Hypothesis]:
+        """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess.
+
+        most : hypotheses that get a mesh correction of their own
+        """
+        leading: dict[frozenset[str], Hypothesis] = {}
+        for h in self.explaining_most(hypotheses):
+            if not h.adequate:
+                leading.setdefault(frozenset(h.names), h)
+        chosen = list(leading.values())[:most]
+        return [self.stack([*h.trials[:-1], recorrected(h.last, self.record)]) for h in chosen]
+
+    def free_forms(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Hypotheses with one effect in a free form (free_forms.py), for those that explain most of the excess."""
+        tried: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
+        for h in self.explaining_most(hypotheses)[: EFFORT.causes]:
+            values = fitted_values(h.last)
+            for freed in h.trials:
+                others = [t for t in h.trials if t is not freed]
+                key = (freed.name, *sorted(t.name for t in others))
+                candidate = None if key in tried else free_form(self.first.base, freed, values)
+                if candidate is not None:
+                    stack = [self.first.base, *self.fitted_stack(others, values)]
+                    if np.isfinite(stack[-1].fit.log_likelihood):
+                        tried[key] = stack, candidate, {**values, **candidate.start}
+        entries = tried.values()
+        bases, starts = [stack[-1] for stack, _, _ in entries], [start for *_, start in entries]
+        fitted = fit_converged(bases, [c for _, c, _ in entries], starts)
+        return [
+            self.stack([*stack[1:], replace(t, held_out=held_out_problem_with(stack[-1], t.candidate))])
+            for (stack, _, _), t in zip(entries, fitted, strict=True)
+            if np.isfinite(t.fit.log_likelihood)
+        ]
+
+    def fitted_stack(self, effects: Sequence[TrialFit], values: Mapping[str, float]) -> list[TrialFit]:
+        """Effects one on top of the other on the declared model, each fitted from the values given."""
+        stack = [self.first.base]
+        for trial in effects:
+            below, candidate = stack[-1], trial.candidate
+            start = {**fitted_values(below), **{n: values[n] for n in candidate.names}}
+            (fitted,) = fit_converged([below], [candidate], [start])
+            delta = delta_bic(self.first.base, fitted.fit, candidate, 1.0)
+            stack.append(replace(fitted, held_out=held_out_problem_with(below, candidate), delta_bic=delta))
+        return stack[1:]
+
+    def pruned(self, rated: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best hypothesis without each of its effects in turn, where it has several."""
+        if not rated or len(rated[0].trials) < 2 or rated[0].change is not None:
+            return []
+        trials, values = rated[0].trials, fitted_values(rated[0].last)
+        stacks = [self.fitted_stack([t for t in trials if t is not left_out], values) for left_out in trials]
+        return [self.stack(stack) for stack in stacks if np.isfinite(stack[-1].fit.log_likelihood)]
+
+    def exchanged(self, hypotheses: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
+        """Hypotheses in which other effects stand in place of members of the leading one.
+
+        Effects are sought one after another: a form with many parameters may have taken up what another effect explains
+        with one. So each effect of the leading model is left out, and all are put in their simplest forms, before
+        another one is sought, as long as that finds a better model.
+        """
+        exchanged: list[Hypothesis] = []
+        rated = _accepted(self.none, hypotheses)
+        for _ in range(EFFORT.rivals):
+            if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
+                break
+            best, values = rated[0], fitted_values(rated[0].last)
+            stacks = [self.fitted_stack(effects, values) for effects in self._reduced(best)]
+            stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
+            exchanged += self.with_one_more(stacks, progress)
+            rated = _accepted(self.none, [*hypotheses, *exchanged])
+            if set(rated[0].names) == set(best.names):
+                break
+        return exchanged
+
+    def _reduced(self, best: Hypothesis) -> list[list[TrialFit]]:
+        """Effects of a hypothesis without each in turn, and where a further one is possible all in their simplest
+        forms, to be fitted."""
+        reduced = [[t for t in best.trials if t is not left_out] for left_out in best.trials]
+        if len(best.trials) < POLICY.max_causes:
+            reduced.append([_in_simplest_form(t, self.first.tried) for t in best.trials])
+        return reduced
+
+    def on_the_best_change(self, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
+        """Hypotheses with one effect, or one derivative of the table, besides the best change of the record.
+
+        None where no change that may be named explains half of the excess: what explains less is no cause of its own.
+        Those that do not explain the record either are left out: with a free effect more, any change comes near many
+        residuals.
+        """
+        excess = self.none.excess_chi2
+        best = next((h for h in rated if h.change is not None and h.admissible and len(h.names) == 1), None)
+        if best is None or excess - best.excess_chi2 < POLICY.min_explained * excess:
+            return []
+        of_round = search_round(best.last, best.effects, progress)
+        refined = _nameable_first(_refined(of_round, progress))
+        return [h for t in refined if (h := with_one_more(best, t, of_round.forms)).adequate]
+
+
+def _nameable_first(trials: Sequence[TrialFit]) -> list[TrialFit]:
+    """Those of a round that are kept, what may be named first."""
+    return sorted(trials, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
+
+
+def _rounds_on_top(
     stacks: Sequence[Sequence[TrialFit]],
-    forms: Mapping[str, int],
     progress: Progress,
     *,
     pair_share: float = 0.3,
     most_pairs: int = 24,
     starts_of_pair: int = 1,
-) -> list[Hypothesis]:
-    """Hypotheses with one effect more on top of each of several stacks of effects, a round of each side by side.
+) -> list[SearchRound]:
+    """By stack of effects, the pass over all candidates on top of it; of all passes together the best are fitted.
 
-    stacks : effects, each fitted on top of those before
     pair_share, most_pairs, starts_of_pair : of the most that a further effect promises, on top of any first one: the
         share that another has to promise to be fitted, how many are, and how many starts of a form
     """
@@ -292,20 +432,10 @@ def _with_one_more(
     progress(0.3, f"fitting {len(chosen)} of {len(reached)} candidates")
     tried = [screened[i][0][k] for _, i, k in chosen]
     fits = fit_in_stages([bases[i] for _, i, _ in chosen], tried, [total for total, _, _ in chosen], best)
-    rounds, hypotheses = [], []
-    for i, (candidates_of, gains) in enumerate(screened):
-        on_base = [t for t, (_, j, _) in zip(fits, chosen, strict=True) if j == i]
-        rounds.append(_round_of(bases[i], on_base, candidates_of, gains))
-    progress(0.7, "fitting the leading ones to convergence")
-    leading = sorted(
-        ((t.fit.log_likelihood, i, t) for i, r in enumerate(rounds) for t in r.trials), key=lambda x: -x[0]
-    )
-    for i, of_round in enumerate(rounds):
-        trials = [t for _, j, t in leading[: EFFORT.causes] if j == i]
-        refined = refine(bases[i], trials, of_round.tried, of_round.predicted) if trials else []
-        ordered = sorted(refined, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
-        hypotheses += [hypothesis([*stacks[i], t], {**forms, **of_round.forms}) for t in ordered]
-    return hypotheses
+    return [
+        _round_of(base, [t for t, (_, j, _) in zip(fits, chosen, strict=True) if j == i], *screened[i])
+        for i, base in enumerate(bases)
+    ]
 
 
 def _screened(stack: Sequence[TrialFit]) -> tuple[list[Candidate], list[float]]:
@@ -350,47 +480,6 @@ def _distinct(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     return list(best.values())
 
 
-def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int]) -> list[Hypothesis]:
-    """The best hypothesis without each of its effects in turn, where it has several."""
-    if not rated or len(rated[0].trials) < 2 or rated[0].change is not None:
-        return []
-    best = rated[0]
-    stacks = [
-        _stack_effects(base, [t for t in best.trials if t is not left_out], fitted_values(best.last))
-        for left_out in best.trials
-    ]
-    return [hypothesis(stack, forms) for stack in stacks if np.isfinite(stack[-1].fit.log_likelihood)]
-
-
-def _exchanged(
-    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], first: SearchRound, progress: Progress
-) -> list[Hypothesis]:
-    """Hypotheses in which other effects stand in place of members of the leading one.
-
-    first : the round of single effects
-
-    Effects are sought one after another: a form with many parameters may have taken up what another effect explains
-    with one. So each effect of the leading model is left out, and all are put in their simplest forms, before another
-    one is sought, as long as that finds a better model.
-    """
-    exchanged: list[Hypothesis] = []
-    rated = _accepted(none, hypotheses)
-    for _ in range(EFFORT.rivals):
-        if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
-            break
-        best, values = rated[0], fitted_values(rated[0].last)
-        reduced = [[t for t in best.trials if t is not left_out] for left_out in best.trials]
-        if len(best.trials) < POLICY.max_causes:
-            reduced.append([_in_simplest_form(t, first.tried) for t in best.trials])
-        stacks = [_stack_effects(base, effects_of, values) for effects_of in reduced]
-        stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
-        exchanged += _with_one_more(stacks, first.forms, progress)
-        rated = _accepted(none, [*hypotheses, *exchanged])
-        if set(rated[0].names) == set(best.names):
-            break
-    return exchanged
-
-
 def _in_simplest_form(trial: TrialFit, tried: Sequence[Candidate]) -> TrialFit:
     """The trial of an effect with the fewest free parameters of those that it has, to be fitted."""
     forms = [c for c in tried if c.name == trial.name and c.form.is_special_case_of(trial.candidate.form)]
@@ -403,96 +492,6 @@ def _first_picks(hypotheses: Sequence[Hypothesis]) -> list[list[TrialFit]]:
     for trial in sorted((h.last for h in hypotheses if h.change is None), key=lambda t: -t.fit.log_likelihood):
         best.setdefault(trial.candidate.names, trial)
     return [[trial] for trial in list(best.values())[: EFFORT.causes]]
-
-
-def _fitted_on(
-    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], record: Record, forms: Mapping[str, int]
-) -> list[Hypothesis]:
-    """Hypotheses that explain most of the excess, fitted on: with their own mesh correction, and, where none of these
-    explains the record, with an effect in a free form."""
-    fitted = _recorrected(none, hypotheses, record, forms)
-    if not _explaining(fitted):
-        free = _free_forms(base, none, [*hypotheses, *fitted], forms)
-        fitted += [*free, *_recorrected(none, free, record, forms)]
-    return fitted
-
-
-def _explaining_most(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Hypotheses of effects that explain most of the excess of the declared model, the best first."""
-    most = (1.0 - POLICY.min_explained_by_library) * none.excess_chi2
-    explaining = [h for h in hypotheses if h.change is None and h.excess_chi2 < most]
-    return sorted(explaining, key=lambda h: h.excess_chi2)
-
-
-def _recorrected(
-    none: Hypothesis, hypotheses: Sequence[Hypothesis], record: Record, forms: Mapping[str, int], *, most: int = 4
-) -> list[Hypothesis]:
-    """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess.
-
-    most : hypotheses that get a mesh correction of their own
-    """
-    leading: dict[frozenset[str], Hypothesis] = {}
-    for h in _explaining_most(none, hypotheses):
-        if not h.adequate:
-            leading.setdefault(frozenset(h.names), h)
-    return [hypothesis([*h.trials[:-1], recorrected(h.last, record)], forms) for h in list(leading.values())[:most]]
-
-
-def _free_forms(
-    base: TrialFit, none: Hypothesis, hypotheses: Sequence[Hypothesis], forms: Mapping[str, int]
-) -> list[Hypothesis]:
-    """Hypotheses with one effect in a free form (free_forms.py), for those that explain most of the excess."""
-    tried: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
-    for h in _explaining_most(none, hypotheses)[: EFFORT.causes]:
-        for freed in h.trials:
-            others = [t for t in h.trials if t is not freed]
-            key = (freed.name, *sorted(t.name for t in others))
-            if freed.name not in FREE_FORMS or key in tried:
-                continue
-            values = fitted_values(h.last)
-            candidate = free_form(base, freed, values)
-            if candidate is None:
-                continue
-            stack = [base, *_stack_effects(base, others, values)]
-            if np.isfinite(stack[-1].fit.log_likelihood):
-                tried[key] = (stack, candidate, {**values, **candidate.start})
-    problems = [problem_with(stack[-1], c) for stack, c, _ in tried.values()]
-    starts = [start_values(p, start) for p, (_, _, start) in zip(problems, tried.values(), strict=True)]
-    fits = maximise_together(problems, starts, CONVERGE) if problems else []
-    freed_hypotheses = []
-    for (stack, c, _), problem, fit in zip(tried.values(), problems, fits, strict=True):
-        if np.isfinite(fit.log_likelihood):
-            held_out = held_out_problem_with(stack[-1], c)
-            trial = TrialFit(c.name, c, problem, held_out, fit, delta_bic(stack[-1], fit, c, 1.0))
-            freed_hypotheses.append(hypothesis([*stack[1:], trial], forms))
-    return freed_hypotheses
-
-
-def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
-    """Hypotheses with one effect, or one derivative of the table, besides the best change of the record.
-
-    None where no change that may be named explains half of the excess: what explains less is no cause of its own. Those
-    that do not explain the record either are left out: with a free effect more, any change comes near many residuals.
-    """
-    best = next((h for h in rated if h.change is not None and h.admissible and len(h.names) == 1), None)
-    if best is None or none.excess_chi2 - best.excess_chi2 < POLICY.min_explained * none.excess_chi2:
-        return []
-    of_round = search_round(best.last, best.effects, progress)
-    refined = sorted(_refined(best.last, of_round, progress), key=lambda t: (not t.admissible, t.delta_bic))
-    hypotheses = [with_one_more(best, t, of_round.forms) for t in refined[: EFFORT.starts]]
-    return [h for h in hypotheses if h.adequate]
-
-
-def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[str, float]) -> list[TrialFit]:
-    """Effects one on top of the other on the base, each fitted from the values given."""
-    stack = [base]
-    for trial in effects:
-        below, start = stack[-1], {n: values[n] for n in trial.candidate.names}
-        problem, held_out = problem_with(below, trial.candidate), held_out_problem_with(below, trial.candidate)
-        fit = maximise_together([problem], [start_values(problem, {**fitted_values(below), **start})], CONVERGE)[0]
-        delta = delta_bic(base, fit, trial.candidate, 1.0)
-        stack.append(replace(trial, problem=problem, held_out=held_out, fit=fit, delta_bic=delta))
-    return stack[1:]
 
 
 def search_round(base: TrialFit, excluded: Sequence[str], progress: Progress) -> SearchRound:

@@ -17,8 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.trials.trial_fit import THINNED_STEPS, TrialFit, fitted_effects
 from sim_heating.closure.verdict.policy import EFFORT
 from sim_heating.estimation.design.instruments import extra_sensors
-from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.side_by_side import JointMarch
 from sim_heating.inputs.record import Record
@@ -55,10 +53,6 @@ class Experiment:
 
     what: str
     log_odds: float
-
-    def as_json(self) -> dict[str, Any]:
-        """Its entry in closure.json."""
-        return asdict(self)
 
     def in_words(self) -> str:
         """What it is, and its odds."""
@@ -303,7 +297,9 @@ def _expected(truth: _Predicted, fitted: _Predicted, model: Hypothesis, scale: f
     """
     if len(truth.mean_K) != len(fitted.mean_K):
         return 0.0
-    fit = _fit_of(model)
+    # that of a change last where it is no parameter of the model
+    whole_fit = None if model.changed is None or not _step(model) else model.changed.whole_fit
+    fit = whole_fit or model.last.fit
     free = ~fit.on_bound
     J, w, d = fitted.jacobian[:, free], truth.weight / scale, truth.mean_K - fitted.mean_K
     information = fit.information[np.ix_(free, free)] / scale + np.diag(fit.prior_information[free])
@@ -311,9 +307,3 @@ def _expected(truth: _Predicted, fitted: _Predicted, model: Hypothesis, scale: f
     s = 1.0 / np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
     adjusted = s * (np.linalg.pinv(A * np.outer(s, s), rcond=1e-12, hermitian=True) @ (s * b))
     return max(0.5 * float(d @ (w * d)) - 0.5 * float(b @ adjusted), 0.0)
-
-
-def _fit_of(model: Hypothesis) -> Fit:
-    """The fit of a hypothesis with all of its unknowns, that of a change last where it is none of the model."""
-    fit = None if model.changed is None else model.changed.whole_fit
-    return fit if fit is not None and _step(model) else model.last.fit

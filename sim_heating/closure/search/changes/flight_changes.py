@@ -21,7 +21,7 @@ from sim_heating.closure.prior.changed_flight import (
     with_sharper_alpha,
     with_velocity,
 )
-from sim_heating.closure.search.trials.change import RecordChange, Span, moved_ends
+from sim_heating.closure.search.trials.change import RecordChange, Span, moved_ends, off_by
 from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.inputs.record import Record
 
@@ -43,34 +43,22 @@ THINNEST_M, BRIEFEST_S = 1000.0, 20.0
 """Least thickness of a layer and least duration of a drift: shorter ones would imitate a manoeuvre."""
 
 
-def motion_evidence(record: Record, fit: TrialFit) -> float:
-    """What the motion of the flight says against a change of the record, in units of BIC; 0 where it says nothing.
+def judged_by_motion(record: Record, fit: TrialFit) -> tuple[float, list[str]]:
+    """What the motion of the flight says against a change of the record [BIC], and how it contradicts it, in a line.
 
-    Negative where the motion follows from the forces better with the change. The heating alone hardly tells a layer of
-    density from an error of the velocity; the drag does.
-    record : the whole record, with all samples of its conditions
+    record  : the whole record, with all samples of its conditions
+    returns : evidence, negative where the motion follows from the forces better with the change, and a line; 0 and none
+              for a change of wall or sensors, or in a test without flow
 
-    It says nothing of a change of wall or sensors, or of a test without flow.
+    The heating alone hardly tells a layer of density from an error of the velocity; the drag does. A change that
+    deviates by more than the scatter of the whole flight, and more than the conditions as stated, explains the heating
+    by a flight that was not flown.
     """
     if fit.change is None or fit.change.kind != "flight" or not record.has_flow:
-        return 0.0
-    changed = fit.change.apply(record, fit.value)
-    return misfit_of_motion(changed.conditions) - misfit_of_motion(record.conditions)
-
-
-def contradicted_by_motion(record: Record, fit: TrialFit) -> list[str]:
-    """How the motion of the flight contradicts a change of the record, in a line; empty where it does not.
-
-    record : as in `motion_evidence`
-
-    A layer of density that the flight went through shows in its drag, and so does a change of the velocity. A change
-    that deviates by more than the scatter of the whole flight, and more than the conditions as stated, explains the
-    heating by a flight that was not flown.
-    """
-    if fit.change is None or fit.change.kind != "flight" or not record.has_flow:
-        return []
-    changed = fit.change.apply(record, fit.value).conditions
-    return [f"{fit.change.what}: {d.message}" for d in contradictions_of_motion(record.conditions, changed)[:1]]
+        return 0.0, []
+    stated, changed = record.conditions, fit.change.apply(record, fit.value).conditions
+    lines = [f"{fit.change.what}: {d.message}" for d in contradictions_of_motion(stated, changed)[:1]]
+    return misfit_of_motion(changed) - misfit_of_motion(stated), lines
 
 
 def flight_changes(
@@ -181,14 +169,8 @@ def _shape_error_K(
 
 def time_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
     """The flight was earlier or later than the clock of its conditions states; starts : as of a change [s]."""
-
-    def describe(value: float) -> str:
-        return f"flight conditions {abs(value):.3g} s too {'early' if value > 0.0 else 'late'}"
-
-    text = "time of the flight conditions"
-    return RecordChange(
-        "flight", text, UNKNOWNS["shift"], shift_conditions, describe, tuple(starts), effect="time-skew"
-    )
+    text, unknown, describe = "time of the flight conditions", UNKNOWNS["shift"], _shifted("flight conditions")
+    return RecordChange("flight", text, unknown, shift_conditions, describe, tuple(starts), effect="time-skew")
 
 
 def trajectory_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
@@ -196,20 +178,22 @@ def trajectory_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
 
     starts : as of a change [s]
     """
-
-    def describe(value: float) -> str:
-        return (
-            f"velocity, altitude and air {abs(value):.3g} s too {'early' if value > 0.0 else 'late'} against the angles"
-        )
-
-    text = "time of velocity, altitude and air against the angles"
-    return RecordChange("flight", text, UNKNOWNS["shift"], shift_trajectory, describe, tuple(starts))
+    text, describe = "velocity, altitude and air", _shifted("velocity, altitude and air", " against the angles")
+    return RecordChange(
+        "flight", f"time of {text} against the angles", UNKNOWNS["shift"], shift_trajectory, describe, tuple(starts)
+    )
 
 
 def density_scale() -> RecordChange:
     """The density was another by a factor, along the whole flight."""
     text = "density of the flight conditions"
-    return RecordChange("flight", text, UNKNOWNS["density"], lambda r, f: with_density(r, f), _scaled(text))
+    return RecordChange("flight", text, UNKNOWNS["density"], with_density, _scaled(text))
+
+
+def velocity_scale() -> RecordChange:
+    """The velocity was another by a factor, along the whole flight."""
+    text = "velocity of the flight conditions"
+    return RecordChange("flight", text, UNKNOWNS["velocity"], with_velocity, _scaled(text))
 
 
 def density_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, edge_m: float = 1.0) -> RecordChange:
@@ -218,7 +202,7 @@ def density_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, edg
     limits : altitudes that these may be moved in [m];  edge_m : thickness of the edges of a sharp layer [m]
     """
     shape = ([low_m - edge_m, low_m, high_m, high_m + edge_m], [0.0, 1.0, 1.0, 0.0])
-    return _layer("density between", "", density_layer, (low_m, high_m), shape, limits)
+    return _varied("density", "density between", "", density_layer, (low_m, high_m), shape, limits)
 
 
 def smooth_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, points: int = 33) -> RecordChange:
@@ -228,61 +212,50 @@ def smooth_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, poin
     """
     at = np.linspace(0.0, 1.0, points)
     shape = ((low_m + (high_m - low_m) * at).tolist(), (0.5 - 0.5 * np.cos(2.0 * np.pi * at)).tolist())
-    return _layer("density of a smooth layer between", ", at most", smooth_layer, (low_m, high_m), shape, limits)
-
-
-def _layer(
-    name: str, where: str, form: Callable[[float, float, Span], RecordChange], span: Span,
-    shape: tuple[list[float], list[float]], limits: Span,
-) -> RecordChange:  # fmt: skip
-    """A factor of the density between two altitudes; shape : altitudes [m], and the part of the factor that holds."""
-
-    def apply(record: Record, factor: float) -> Record:
-        return with_density(record, 1.0 + (factor - 1.0) * np.interp(record.conditions["altitude_m"], *shape))
-
-    def near(fraction: float) -> tuple[RecordChange, ...]:
-        return tuple(form(*ends, limits) for ends in moved_ends(span, fraction, THINNEST_M, limits))
-
-    text = f"{name} {span[0] / 1e3:.1f} and {span[1] / 1e3:.1f} km"
-    return RecordChange("flight", text, UNKNOWNS["density"], apply, _scaled(text, where), form=name, near=near)
-
-
-def velocity_scale() -> RecordChange:
-    """The velocity was another by a factor, along the whole flight."""
-    text = "velocity of the flight conditions"
-    return RecordChange("flight", text, UNKNOWNS["velocity"], lambda r, f: with_velocity(r, f), _scaled(text))
+    name = "density of a smooth layer between"
+    return _varied("density", name, ", at most", smooth_layer, (low_m, high_m), shape, limits)
 
 
 def velocity_drift(begin_s: float, end_s: float, limits: Span = EVERYWHERE) -> RecordChange:
     """The velocity drifts away between two times [s], and keeps the factor that it has at the second."""
-    shape = ([begin_s, end_s], [0.0, 1.0])
-    return _drift("drift of the velocity", ", at its end", velocity_drift, shape, limits)
+    span, name = (begin_s, end_s), "drift of the velocity"
+    return _varied("velocity", name, ", at its end", velocity_drift, span, ([*span], [0.0, 1.0]), limits)
 
 
 def velocity_excursion(begin_s: float, end_s: float, limits: Span = EVERYWHERE) -> RecordChange:
     """The velocity drifts away between two times [s] and returns as evenly: an error that was corrected."""
     shape = ([begin_s, 0.5 * (begin_s + end_s), end_s], [0.0, 1.0, 0.0])
-    return _drift("excursion of the velocity", ", at its largest", velocity_excursion, shape, limits)
+    name, span = "excursion of the velocity", (begin_s, end_s)
+    return _varied("velocity", name, ", at its largest", velocity_excursion, span, shape, limits)
 
 
-def _drift(
-    name: str, where: str, form: Callable[[float, float, Span], RecordChange],
-    shape: tuple[list[float], list[float]], limits: Span,
-) -> RecordChange:  # fmt: skip
-    """A factor of the velocity that changes along a span.
+def _varied(
+    quantity: str,
+    name: str,
+    where: str,
+    form: Callable[[float, float, Span], RecordChange],
+    span: Span,
+    shape: tuple[list[float], list[float]],
+    limits: Span,
+) -> RecordChange:
+    """A factor of the density that varies along the altitude, or of the velocity along the time.
 
-    shape : times [s], and the part of the factor that holds then;  limits : times that the ends may be moved in
+    quantity : "density" or "velocity";  span : altitudes [m] or times [s];  limits : that its ends may be moved in
+    shape    : altitudes [m] or times [s], and the part of the factor that holds there [-]
     """
-    begin_s, end_s = shape[0][0], shape[0][-1]
+    of_density = quantity == "density"
+    ends = f"{span[0] / 1e3:.1f} and {span[1] / 1e3:.1f} km" if of_density else f"from {span[0]:.0f} to {span[1]:.0f} s"
+    text, shortest = f"{name} {ends}", THINNEST_M if of_density else BRIEFEST_S
 
     def apply(record: Record, factor: float) -> Record:
-        return with_velocity(record, 1.0 + (factor - 1.0) * np.interp(record.conditions.time_s, *shape))
+        x = record.conditions["altitude_m"] if of_density else record.conditions.time_s
+        factors = 1.0 + (factor - 1.0) * np.interp(x, *shape)
+        return with_density(record, factors) if of_density else with_velocity(record, factors)
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
-        return tuple(form(*ends, limits) for ends in moved_ends((begin_s, end_s), fraction, BRIEFEST_S, limits))
+        return tuple(form(*moved, limits) for moved in moved_ends(span, fraction, shortest, limits))
 
-    text = f"{name} from {begin_s:.0f} to {end_s:.0f} s"
-    return RecordChange("flight", text, UNKNOWNS["velocity"], apply, _scaled(text, where), form=name, near=near)
+    return RecordChange("flight", text, UNKNOWNS[quantity], apply, _scaled(text, where), form=name, near=near)
 
 
 def alpha_bias() -> RecordChange:
@@ -291,9 +264,8 @@ def alpha_bias() -> RecordChange:
     def describe(value: float) -> str:
         return f"angle of attack {abs(value):.2g} deg too {'small' if value > 0.0 else 'large'}"
 
-    return RecordChange(
-        "flight", "angle of attack of the flight conditions", UNKNOWNS["angle of attack"], with_alpha, describe
-    )
+    text = "angle of attack of the flight conditions"
+    return RecordChange("flight", text, UNKNOWNS["angle of attack"], with_alpha, describe)
 
 
 def alpha_smoothed(starts_s: tuple[float, float] = (5.0, 12.0)) -> RecordChange:
@@ -309,13 +281,16 @@ def alpha_smoothed(starts_s: tuple[float, float] = (5.0, 12.0)) -> RecordChange:
     return RecordChange("flight", text, UNKNOWNS["smoothing"], with_sharper_alpha, describe, starts_s)
 
 
+def _shifted(quantity: str, suffix: str = "") -> Callable[[float], str]:
+    """Words for a shift in time by which the true values are later than the stated ones [s]."""
+    return lambda value: f"{quantity} {abs(value):.3g} s too {'early' if value > 0.0 else 'late'}{suffix}"
+
+
 def _scaled(quantity: str, suffix: str = "") -> Callable[[float], str]:
     """Words for a factor of true over stated values."""
-
-    def describe(factor: float) -> str:
-        return f"{quantity} {100.0 * abs(1.0 / factor - 1.0):.2g} % too {'low' if factor > 1.0 else 'high'}{suffix}"
-
-    return describe
+    return lambda factor: (
+        f"{quantity} {100.0 * abs(1.0 / factor - 1.0):.2g} % too {'low' if factor > 1.0 else 'high'}{suffix}"
+    )
 
 
 def lamp_changes(record: Record) -> list[RecordChange]:
@@ -327,16 +302,12 @@ def lamp_changes(record: Record) -> list[RecordChange]:
     flown = record.conditions
     if record.has_flow or "q_add_W_m2" not in flown or not np.any(flown["q_add_W_m2"]):
         return []
-    return [RecordChange("flight", "flux of the lamp", UNKNOWNS["flux"], with_flux, _describe_flux)]
 
+    def with_flux(stated: Record, factor: float) -> Record:
+        column = factor * stated.conditions["q_add_W_m2"]
+        return replace(stated, conditions=stated.conditions.with_columns(q_add_W_m2=column))
 
-def with_flux(record: Record, factor: float) -> Record:
-    """The record with its absorbed flux times a factor [-]."""
-    flown = record.conditions
-    return replace(record, conditions=flown.with_columns(q_add_W_m2=factor * flown["q_add_W_m2"]))
+    def describe(factor: float) -> str:
+        return f"flux of the lamp (or absorptance of the surface) {off_by(factor, 'above', 'below')} the stated one"
 
-
-def _describe_flux(factor: float) -> str:
-    percent = 100.0 * abs(factor - 1.0)
-    size = f"{percent:{'.0f' if percent >= 10.0 else '.2g'}} % {'above' if factor > 1.0 else 'below'} the stated one"
-    return f"flux of the lamp (or absorptance of the surface) {size}"
+    return [RecordChange("flight", "flux of the lamp", UNKNOWNS["flux"], with_flux, describe)]

@@ -16,11 +16,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
-from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
 from sim_heating.closure.search.trials.candidates import NO_EFFECT
@@ -33,6 +32,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     candidate_problem,
     corrected,
     fitted_values,
+    held_out_problem_with,
     own_thinning_error,
     sample_count,
     start_values,
@@ -42,7 +42,7 @@ from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.error_likelihood import scored_readings
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitProblem
-from sim_heating.estimation.record_fit import FittedChannel, RecordFit
+from sim_heating.estimation.record_fit import FittedChannel
 from sim_heating.estimation.side_by_side import JointMarch, iterate_together, maximise_together
 from sim_heating.inputs.record import Record
 
@@ -83,7 +83,8 @@ class _ChangedModel:
             return self.base.problem
         if value not in self._problems:
             record_fit = self.base.record_fit
-            problem = problem_over(self.base, record_fit, self.change.apply(record_fit.record, value), record_fit.names)
+            record = self.change.apply(record_fit.record, value)
+            problem = candidate_problem(self.base, record_fit, NO_EFFECT, None, record)
             problem.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[0]
             self._problems[value] = problem
         return self._problems[value]
@@ -102,7 +103,7 @@ class _ChangedModel:
         record_fit = problem.record_fits[0]
         changed = self.change.apply(self.base.record_fit.record, self._stepped(value))
         # its temperatures alone are needed: the march has no sensitivities
-        self._moved = problem_over(self.base, record_fit, changed, record_fit.sensor_names)
+        self._moved = candidate_problem(self.base, record_fit, NO_EFFECT, record_fit.sensor_names, changed)
         moved = self._moved.record_fits[0]
         # of the changed wall, at the same parameters
         moved.model = moved.model.with_parameters(
@@ -146,23 +147,15 @@ class _ChangedModel:
     def trial(self, fit: Fit) -> TrialFit:
         """The base's model on the record as changed by the value found."""
         values, value = self.split(fit.values)
-        held_out = self._held_out(lambda record: self.change.apply(record, value))
+        held_out = held_out_problem_with(self.base, NO_EFFECT, changed=lambda r: self.change.apply(r, value))
         if held_out is not None:
             held_out.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[1]
-        kept = np.arange(len(values))
-        return replace(
-            self.base,
-            problem=self.problem(value),
-            held_out=held_out,
-            fit=fit.select(kept, [fit.names[k] for k in kept]),
-        )
+        return self._trial(self.problem(value), held_out, fit, np.arange(len(values)))
 
-    def _held_out(self, changed: Callable[[Record], Record], names: Sequence[str] | None = None) -> FitProblem | None:
-        """The changed record's samples held out; None where there are none."""
-        if self.base.held_out is None:
-            return None
-        record_fit = self.base.held_out.record_fits[0]
-        return problem_over(self.base, record_fit, changed(record_fit.record), names or record_fit.names, held_out=True)
+    def _trial(self, problem: FitProblem, held_out: FitProblem | None, fit: Fit, order: IntArray) -> TrialFit:
+        """The base over other problems, with the parameters of a fit in their order."""
+        selected = fit.select(order, [fit.names[k] for k in order])
+        return replace(self.base, problem=problem, held_out=held_out, fit=selected)
 
 
 class _EstimatedModel(_ChangedModel):
@@ -175,7 +168,7 @@ class _EstimatedModel(_ChangedModel):
         record_fit = base.record_fit
         # a parameter of the march is the last of these; those of clock and sensors follow
         self._names = (*record_fit.names, self.parameters[-1].name)
-        self._problem = problem_over(base, record_fit, record_fit.record, self._names)
+        self._problem = candidate_problem(base, record_fit, NO_EFFECT, self._names)
         self._order = np.array([self._names.index(n) for n in self._problem.record_fits[0].names])
         self._place = np.argsort(self._order)
 
@@ -195,13 +188,8 @@ class _EstimatedModel(_ChangedModel):
 
     def trial(self, fit: Fit) -> TrialFit:
         """The base's model with the parameter of the change as one of its own."""
-        held_out = self._held_out(lambda record: record, self._names)
-        return replace(
-            self.base,
-            problem=self._problem,
-            held_out=held_out,
-            fit=fit.select(self._order, [fit.names[k] for k in self._order]),
-        )
+        held_out = held_out_problem_with(self.base, NO_EFFECT, self._names)
+        return self._trial(self._problem, held_out, fit, self._order)
 
 
 def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
@@ -218,30 +206,15 @@ def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
 
 def changed_trial(base: TrialFit, changed: Callable[[Record], Record], names: Sequence[str] | None = None) -> TrialFit:
     """A trial over another record, or with other unknowns by their dotted names, with the fit that it had."""
-
-    def over(problem: FitProblem) -> FitProblem:
-        record_fit, held_out = problem.record_fits[0], problem is base.held_out
-        record = changed(record_fit.record)
-        return problem_over(base, record_fit, record, names or record_fit.names, held_out=held_out)
-
-    return replace(base, problem=over(base.problem), held_out=base.held_out and over(base.held_out))
+    record_fit = base.record_fit
+    problem = candidate_problem(base, record_fit, NO_EFFECT, names, changed(record_fit.record))
+    return replace(base, problem=problem, held_out=held_out_problem_with(base, NO_EFFECT, names, changed))
 
 
 def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
     """The model of a trial fit on a changed record."""
     base = _with_free(base, change.free)
     return (_EstimatedModel if change.in_model else _ChangedModel)(base, change)
-
-
-def problem_over(
-    base: TrialFit, record_fit: RecordFit, record: Record, names: Sequence[str], *, held_out: bool = False
-) -> FitProblem:
-    """The base's problem over another record.
-
-    record_fit : of the base's, with noise and mesh correction;  names : of the unknowns
-    """
-    samples = {"sample_masks": [record.holdout_mask()]} if held_out else {}
-    return candidate_problem(base, record_fit, NO_EFFECT, names, record, prior_scale=WIDENED, **samples)
 
 
 def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, moved: FittedChannel) -> FloatArray:
@@ -349,28 +322,14 @@ def fit_changes(
     raises    : InputError where a change has a parameter without a finite standard deviation
     """
 
-    def least_fraction(change: RecordChange) -> float:
+    def least_share(change: RecordChange) -> float:
         if change.parameter is None:
             return min(share, POLICY.min_of_best)
         return share if change.near is None else near_share
 
-    predicted = best_starts(base, changes)
-    n, largest = sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
-    best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
-    for change, (gain, model, start) in zip(changes, predicted, strict=True):
-        # what an effect names competes with it under that name: a step ahead promises too little of a shift in time
-        form, least = (
-            change.form or change.what,
-            min(least_fraction(change), POLICY.min_of_best if change.effect else 1.0) * largest,
-        )
-        if gain > max(least, 0.5 * np.log(n) * change.unknowns - POLICY.gain_margin) and (
-            form not in best or gain > best[form][0]
-        ):
-            best[form] = gain, model, start
-    leading = sorted((gain for gain, model, _ in best.values() if model.change.near is None), reverse=True)[:most]
-    best = {form: b for form, b in best.items() if b[1].change.near is not None or b[0] in leading}
-    models = [model for _, model, _ in best.values()]
-    fractions = np.array([least_fraction(m.change) for m in models])
+    chosen = _worth_fitting(base, best_starts(base, changes), best_gain, least_share, most)
+    models, vectors = [model for model, _ in chosen], [start for _, start in chosen]
+    fractions = np.array([least_share(m.change) for m in models])
 
     def promising(history: Sequence[FloatArray], fits: Sequence[Fit]) -> BoolArray:
         # Predictions are linear and promise too much: after some steps those that stay far behind are not fitted on.
@@ -379,7 +338,7 @@ def fit_changes(
     def maximise(numbers: Sequence[int], vectors: Sequence[FloatArray], settings: NewtonSettings) -> list[Fit]:
         return _maximise([models[k] for k in numbers], vectors, settings)
 
-    vectors, few = [start for _, _, start in best.values()], replace(QUICK, iterations=5)
+    few = replace(QUICK, iterations=5)
     fits = fit_staged(maximise, vectors, few, [Stage(QUICK, promising)], base.fit.log_likelihood)
     gains = gains_over(fits, base.fit.log_likelihood)
     reached = max([best_gain, *gains])
@@ -390,6 +349,31 @@ def fit_changes(
     _move_ends(models, fits, [k for k in with_ends if gains[k] > nearly * largest], EFFORT.rivals)
     trials = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
     return sorted((f for f in trials if f is not None), key=lambda f: f.delta_bic)
+
+
+def _worth_fitting(
+    base: TrialFit,
+    predicted: Sequence[tuple[float, _ChangedModel, FloatArray]],
+    best_gain: float,
+    least_share: Callable[[RecordChange], float],
+    most: int | None,
+) -> list[tuple[_ChangedModel, FloatArray]]:
+    """The model of one change of each form that promises enough, with its start.
+
+    predicted   : by change, as `best_starts` gives it
+    least_share : part of the best gain that a change has to promise
+    """
+    n, largest = sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
+    best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
+    for gain, model, start in predicted:
+        change, form = model.change, model.change.form or model.change.what
+        # what an effect names competes with it under that name: a step ahead promises too little of a shift in time
+        least = min(least_share(change), POLICY.min_of_best if change.effect else 1.0) * largest
+        promises = gain > max(least, 0.5 * np.log(n) * change.unknowns - POLICY.gain_margin)
+        if promises and (form not in best or gain > best[form][0]):
+            best[form] = gain, model, start
+    leading = sorted((gain for gain, model, _ in best.values() if model.change.near is None), reverse=True)[:most]
+    return [(m, start) for gain, m, start in best.values() if m.change.near is not None or gain in leading]
 
 
 def with_own_corrections(
@@ -446,30 +430,24 @@ def _move_ends(models: list[_ChangedModel], fits: list[Fit], chosen: Sequence[in
     searched = [partial(_best_ends, models[k], fits[k], searches) for k in chosen]
     for k, (moves, fit) in zip(chosen, in_processes(searched), strict=True):
         for move in moves:
-            models[k] = _model(models[k].base, move.of(models[k].change))
+            models[k] = _model(models[k].base, _neighbours(models[k].change, move[0])[move[1]])
         fits[k] = fit
 
 
-class _Move(NamedTuple):
-    """A move of the ends of a change: one of its neighbours at a fraction of the span."""
-
-    fraction: float
-    number: int
-
-    def of(self, change: RecordChange) -> RecordChange:
-        """The change with its ends moved."""
-        assert change.near is not None
-        return list(change.near(self.fraction))[self.number]
+def _neighbours(change: RecordChange, fraction: float) -> list[RecordChange]:
+    """The change with its ends moved by a fraction of its span; none of a change without ends."""
+    return [] if change.near is None else list(change.near(fraction))
 
 
-def _best_ends(model: _ChangedModel, fit: Fit, searches: int) -> tuple[list[_Move], Fit]:
-    """Moves of the ends of a change to where the likelihood is largest, and the fit there.
+def _best_ends(model: _ChangedModel, fit: Fit, searches: int) -> tuple[list[tuple[float, int]], Fit]:
+    """Moves of the ends of a change to where the likelihood is largest, each a fraction of the span and the number of a
+    neighbour there, and the fit at the ends.
 
     A pattern search at the values of the fit, a fit at the ends found, and again from there while that gains.
     """
     # further on, where the change leads: some seconds of a large error are far above the noise
     finely = (0.06, 0.03, 0.015, 0.007, 0.06, 0.03, 0.015, 0.007)
-    steps, moves = [ENDS_MOVED] * searches + [finely] * (searches > 1), list[_Move]()
+    steps, moves = [ENDS_MOVED] * searches + [finely] * (searches > 1), list[tuple[float, int]]()
     while steps:
         moved, further = _pattern_search(model, fit, steps.pop(0))
         gained = 0.0
@@ -483,20 +461,21 @@ def _best_ends(model: _ChangedModel, fit: Fit, searches: int) -> tuple[list[_Mov
     return moves, fit
 
 
-def _pattern_search(model: _ChangedModel, fit: Fit, fractions: Sequence[float]) -> tuple[_ChangedModel, list[_Move]]:
+def _pattern_search(
+    model: _ChangedModel, fit: Fit, fractions: Sequence[float]
+) -> tuple[_ChangedModel, list[tuple[float, int]]]:
     """The change with the ends that predict most from the values of a fit, and the moves to them.
 
     fractions : of the span by which the ends are moved, one after the other
     """
-    best, reached, moves = model, fit.log_likelihood, list[_Move]()
+    best, reached, moves = model, fit.log_likelihood, list[tuple[float, int]]()
     for fraction in fractions:
-        moved = [] if best.change.near is None else list(best.change.near(fraction))
-        models = [_model(model.base, change) for change in moved]
+        models = [_model(model.base, change) for change in _neighbours(best.change, fraction)]
         predicted = [gain for gain, _ in _predicted(models, [fit.values] * len(models))]
         k = int(np.argmax(predicted)) if models else 0
         if models and predicted[k] > reached:
             best, reached = models[k], predicted[k]
-            moves.append(_Move(fraction, k))
+            moves.append((fraction, k))
     return best, moves
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -52,14 +52,6 @@ OTHERS_MOVE = 3.0
 """Steps of its recorder that another sensor moves by while one is stuck, and the model where one is clipped."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Channel:
-    """A used sensor and the RMS of its normalised residuals over the fitted samples [-]."""
-
-    sensor: Sensor
-    rms: float
-
-
 def sensor_changes(base: TrialFit, *, misfit_floors: float = 2.0) -> list[RecordChange]:
     """The changes of the sensors of a record that the model fitted to it does not rule out.
 
@@ -70,33 +62,29 @@ def sensor_changes(base: TrialFit, *, misfit_floors: float = 2.0) -> list[Record
 
     misfit_floors : RMS of the normalised residuals of a sensor from which on it may be swapped, misplaced or broken
     """
-    channels = [_Channel(s.channel.sensor, _rms(s)) for s in base.problem.samples(base.fit.values)]
+    channels = base.problem.samples(base.fit.values)
     units, constant = unit_changes(base), constant_readings(base)
     seen = {name for names in units for name in names} | {name for _, name in constant}
-    others = [c for c in channels if c.sensor.name not in seen]
-    misfits = [c.sensor for c in others if c.rms > misfit_floors]
+    others = [s for s in channels if s.channel.sensor.name not in seen]
+    misfits = [
+        s.channel.sensor for s in others if _rms_K(s) > misfit_floors * s.channel.sensor.noise_floor_K(s.sigma_K)
+    ]
     record = base.record_fit.record
     return [
         *(change for changes in units.values() for change in changes),
         *(change for change, _ in constant),
         *(swap(a, b) for a, b in combinations(misfits, 2)),
-        *(drift(record, c.sensor) for c in others if len(channels) > 1),
+        *(drift(record, s.channel.sensor) for s in others if len(channels) > 1),
         *(depth(record, s) for s in misfits),
         *(broken_sensors(base) if misfits and len(others) == len(channels) > 1 else []),
     ]
 
 
-def _rms(s: PredictedSamples) -> float:
-    """RMS of the normalised residuals of a channel."""
-    residual_K, floor_K = _residual_K(s), s.channel.sensor.noise_floor_K(s.sigma_K)
-    return float(np.sqrt(np.mean((residual_K / floor_K) ** 2))) if len(residual_K) else 0.0
-
-
-def _residual_K(s: PredictedSamples) -> FloatArray:
-    """Readings less predictions of a channel [K], without those at an end of the recorder's range."""
+def _rms_K(s: PredictedSamples) -> float:
+    """RMS of the residuals of a channel [K], without readings at an end of the recorder's range; 0 without others."""
     read = _read_K(s)
-    finite = np.isfinite(read)
-    return np.asarray(read[finite] - s.mean_K[finite])
+    residual_K = (read - s.mean_K)[np.isfinite(read)]
+    return float(np.sqrt(np.mean(residual_K**2))) if len(residual_K) else 0.0
 
 
 def _read_K(s: PredictedSamples) -> FloatArray:
@@ -202,14 +190,12 @@ def drift(record: Record, sensor: Sensor, *, max_drift: float = 10.0) -> RecordC
         changed = replace(stated, thermocouples={**stated.thermocouples, sensor.column: read})
         return _with_sensors(changed, lambda s: {"bits": None} if s.name == sensor.name else {})
 
-    rate_parameter = replace(SENSOR["drift"], name=sensor_parameter(sensor, "drift"))
-    rate_parameter = replace(
-        rate_parameter, lower=-max_drift * rate_parameter.sigma, upper=max_drift * rate_parameter.sigma
-    )
-    return RecordChange(
-        "sensor", f"drift of {sensor.name}", rate_parameter, apply,
-        lambda rate: f"{sensor.name} drifts by {rate * span_s:+.2g} K in {span_s:.0f} s", in_model=True,
-    )  # fmt: skip
+    def describe(rate_K_s: float) -> str:
+        return f"{sensor.name} drifts by {rate_K_s * span_s:+.2g} K in {span_s:.0f} s"
+
+    name, largest = sensor_parameter(sensor, "drift"), max_drift * SENSOR["drift"].sigma
+    parameter = replace(SENSOR["drift"], name=name, lower=-largest, upper=largest)
+    return RecordChange("sensor", f"drift of {sensor.name}", parameter, apply, describe, in_model=True)
 
 
 def depth(record: Record, sensor: Sensor, *, depth_sigma_m: float = 5e-4, farthest_m: float = 0.01) -> RecordChange:
@@ -229,14 +215,8 @@ def depth(record: Record, sensor: Sensor, *, depth_sigma_m: float = 5e-4, farthe
     def describe(error_m: float) -> str:
         return f"{sensor.name} {1e3 * abs(error_m):.2g} mm {'deeper' if error_m > 0.0 else 'less deep'} than declared"
 
-    return RecordChange(
-        "sensor", f"depth of {sensor.name}", error_parameter, apply, describe, starts=_depth_starts(error_parameter)
-    )
-
-
-def _depth_starts(error: Parameter) -> tuple[float, ...]:
-    """Errors of a depth that a fit may start from [m]."""
-    return tuple(x for x in (-4e-3, -1.5e-3, 1.5e-3, 4e-3) if error.lower < x < error.upper)
+    starts = tuple(x for x in (-4e-3, -1.5e-3, 1.5e-3, 4e-3) if error_parameter.lower < x < error_parameter.upper)
+    return RecordChange("sensor", f"depth of {sensor.name}", error_parameter, apply, describe, starts)
 
 
 # Readings that are worthless ------------------------------------------------------------------------------------------
@@ -606,12 +586,11 @@ def _without(
         for s in record.sensors:
             if s.name in lost:
                 which = lost[s.name]
-                read[s.column] = (
-                    np.full(len(read[s.column]), np.nan) if which is None else _blanked(read[s.column], which)
-                )
+                read[s.column] = np.where(True if which is None else which, np.nan, read[s.column])
         return replace(record, thermocouples=read)
 
-    rms_K = {} if level_K is not None else _scatter_K(base)
+    fitted = base.problem.samples(base.fit.values) if level_K is None else []
+    rms_K = {s.channel.sensor.name: _rms_K(s) for s in fitted}
     log_likelihoods = [
         0.0 if problem is None else _log_likelihood_of(problem, base.fit.values, lost, rms_K, level_K)
         for problem in (base.problem, None if base.held_out_chi2 == 0.0 else base.held_out)
@@ -625,18 +604,6 @@ def _without(
         lambda _: description or text,
         known_log_likelihood=(log_likelihoods[0] - cost, log_likelihoods[1]),
     )
-
-
-def _blanked(read: FloatArray, lost: NDArray[np.bool_]) -> FloatArray:
-    return np.where(lost, np.nan, read)
-
-
-def _scatter_K(base: TrialFit) -> dict[str, float]:
-    """RMS of the residuals of each sensor [K], by its name."""
-    return {
-        s.channel.sensor.name: float(np.sqrt(np.mean(_residual_K(s) ** 2)))
-        for s in base.problem.samples(base.fit.values)
-    }
 
 
 def _log_likelihood_of(

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from sim_heating.base.parameters import LAYER, MODEL, STACK_PREFIX, Parameter
-from sim_heating.closure.search.trials.change import RecordChange
+from sim_heating.closure.search.trials.change import RecordChange, off_by
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record
@@ -66,11 +66,11 @@ def layer_changes(record: Record) -> list[RecordChange]:
 def _layer_change(layer: str, property_name: str, parameter: Parameter) -> RecordChange:
     quantity, above, below = QUANTITIES[property_name]
 
+    thicker = property_name == THICKNESS
+    thing = f"layer {layer}" if thicker else f"{quantity} of layer {layer}"
+
     def describe(factor: float) -> str:
-        percent = 100.0 * abs(factor - 1.0)
-        size = f"{percent:{'.0f' if percent >= 10.0 else '.2g'}} % {above if factor > 1.0 else below}"
-        thing = f"layer {layer}" if property_name == THICKNESS else f"{quantity} of layer {layer}"
-        return f"{thing} {size} {'than declared' if property_name == THICKNESS else 'the declared one'}"
+        return f"{thing} {off_by(factor, above, below)} {'than declared' if thicker else 'the declared one'}"
 
     apply = partial(with_factor, layer=layer, property_name=property_name)
     return RecordChange("wall", f"{quantity} of layer {layer}", parameter, apply, describe, in_model=True)

@@ -22,6 +22,12 @@ def moved_ends(span: Span, fraction: float, shortest: float, limits: Span) -> li
     return [(a, b) for a, b in dict.fromkeys(spans) if b - a >= shortest and (a, b) != span]
 
 
+def off_by(factor: float, above: str, below: str) -> str:
+    """A factor of the true over the stated value in words, such as "12 % above"."""
+    percent = 100.0 * abs(factor - 1.0)
+    return f"{percent:{'.0f' if percent >= 10.0 else '.2g'}} % {above if factor > 1.0 else below}"
+
+
 @dataclass(frozen=True, eq=False)
 class RecordChange:
     """A change of a record's flight, wall or sensors that may explain it.

@@ -30,7 +30,6 @@ from sim_heating.estimation.inference.identifiability import covariance, predict
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, Status
 from sim_heating.estimation.problem import FitProblem
-from sim_heating.estimation.record_fit import PredictedSamples
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 
 
@@ -64,16 +63,17 @@ def _predicted_gains(
         for c in candidates
     ]
     firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, candidates, strict=True)]
-    mean = np.array([p.value for p in base.problem.parameters])
-    marched, scored = JointMarch(problems).march(firsts), _ScoreCache()
+    to_mean = np.array([p.value for p in base.problem.parameters]) - base.fit.values
+    # at their starts many candidates predict the same, which is scored once
+    marched, scored = JointMarch(problems).march(firsts), dict[bytes, ScoredReadings]()
     gains = []
     for candidate, problem, first, done in zip(candidates, problems, firsts, marched, strict=True):
         # a parameter of the base that a candidate frees of its prior is the candidate's own
         inner = [
             k for k, n in enumerate(record_fit.names) if n not in record_fit.sensor_names and n not in candidate.active
         ]
-        prior = _KnownPart(sensitivity[:, inner], base.fit.prior_information[inner], (mean - base.fit.values)[inner])
-        begin, reached = _predicted_likelihoods(problem, first, prior, scored) if done else (-np.inf, -np.inf)
+        of_base = sensitivity[:, inner], base.fit.prior_information[inner], to_mean[inner]
+        begin, reached = _predicted_likelihoods(problem, first, of_base, scored) if done else (-np.inf, -np.inf)
         gains.append(min(reached - base.fit.log_likelihood, limit + min(begin - base.fit.log_likelihood, 0.0)))
     return gains
 
@@ -133,43 +133,34 @@ def _largest_gain(base: TrialFit) -> float:
     return max(largest - base.fit.log_likelihood, 0.0) + POLICY.gain_margin
 
 
-class _KnownPart(NamedTuple):
-    """What a prediction takes from the base: of its parameters (sample, k) sensitivities, prior information, and the
-    distance of its values from the means of the priors."""
-
-    sensitivity: FloatArray
-    prior_information: FloatArray
-    to_mean: FloatArray
-
-
-class _ScoreCache(dict[bytes, ScoredReadings]):
-    """Scores of predictions, each scored once: at their starts, many candidates predict the same."""
-
-    def score(self, channels: Sequence[PredictedSamples]) -> ScoredReadings:
-        """The likelihood of the channels of a record."""
-        key = b"".join(s.mean_K.tobytes() for s in channels)
-        if key not in self:
-            self[key] = scored_readings(channels[0].record_fit, [s.mean_K for s in channels])
-        return self[key]
-
-
 def _predicted_likelihoods(
-    problem: FitProblem, first: FloatArray, of_base: _KnownPart, scored: _ScoreCache
+    problem: FitProblem,
+    first: FloatArray,
+    of_base: tuple[FloatArray, FloatArray, FloatArray],
+    scored: dict[bytes, ScoredReadings],
 ) -> tuple[float, float]:
-    """Log likelihood at the start, and after a Gauss-Newton step with what the base gains of its prior density."""
+    """Log likelihood at the start, and after a Gauss-Newton step with what the base gains of its prior density.
+
+    of_base : of its parameters, (sample, k) sensitivities, prior information, and distance to the means of the priors
+    scored  : readings scored so far, by their predictions
+    """
     channels = problem.samples(first)
-    readings = scored.score(channels)
+    key = b"".join(s.mean_K.tobytes() for s in channels)
+    if key not in scored:
+        scored[key] = scored_readings(channels[0].record_fit, [s.mean_K for s in channels])
+    readings = scored[key]
     sensitivity = np.concatenate([s.sensitivity for s in channels])
     gradient, information = readings.score @ sensitivity, readings.weight @ sensitivity**2
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
     # A parameter that starts on its bound and is pushed beyond it cannot contribute to the gain.
     on_bound = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
-    J = np.column_stack([of_base.sensitivity, sensitivity[:, ~on_bound & (information > 0.0)]])
+    base_sensitivity, prior_information, to_mean = of_base
+    J = np.column_stack([base_sensitivity, sensitivity[:, ~on_bound & (information > 0.0)]])
     M, g = readings.information(J), J.T @ readings.score
-    count = len(of_base.prior_information)
-    M[range(count), range(count)] += of_base.prior_information
-    g[:count] += of_base.prior_information * of_base.to_mean
+    count = len(prior_information)
+    M[range(count), range(count)] += prior_information
+    g[:count] += prior_information * to_mean
     return readings.log_likelihood, readings.log_likelihood + predicted_gain(g, covariance(M))
 
 

@@ -8,7 +8,7 @@ out are marched in the same way and never fitted; how well a candidate predicts 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -24,14 +24,7 @@ from sim_heating.closure.prior.model_error import clock_prior, flight_error, fli
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
-from sim_heating.estimation.fit import (
-    FitResult,
-    declared_model,
-    estimate,
-    lag1_autocorrelation,
-    predict_fit,
-    rms_normalised_residual,
-)
+from sim_heating.estimation.fit import FitResult, declared_model, estimate, predict_fit, rms_normalised_residual
 from sim_heating.estimation.inference.conditions_noise import heating_noise
 from sim_heating.estimation.inference.error_likelihood import (
     ErrorState,
@@ -200,11 +193,6 @@ class TrialFit:
         return rms_normalised_residual(self.fitted_samples) ** 2 - 1.0
 
     @cached_property
-    def lag1_autocorrelation(self) -> float:
-        """Mean product of neighbouring normalised residuals."""
-        return lag1_autocorrelation(self.fitted_samples)
-
-    @cached_property
     def held_out_log_likelihood(self) -> float:
         """Log likelihood of the samples held out, at the estimates; minus infinity where they cannot be marched.
 
@@ -357,9 +345,7 @@ def with_own_error(trial: TrialFit) -> TrialFit:
         return trial
     record = record_fit.record
     either = [record.fit_mask() | record.holdout_mask()]
-    all_samples = candidate_problem(
-        trial, record_fit, NO_EFFECT, record_fit.names, prior_scale=WIDENED, sample_masks=either
-    )
+    all_samples = candidate_problem(trial, record_fit, NO_EFFECT, sample_masks=either)
     try:
         error = model_error(
             all_samples.record_fits[0], trial.fit.values, record_fit.model_error.sigma,
@@ -379,19 +365,14 @@ def with_own_error(trial: TrialFit) -> TrialFit:
     return replace(sized, size=_size_of_error(sized, prior))
 
 
-def with_flight_scale(trial: TrialFit, scale: float) -> TrialFit:
-    """A trial with another factor on the standard deviations of its flight's error [-]; its fit is as before."""
-    error = trial.record_fit.model_error
-    return trial if error is None else with_error(trial, error.of_size(error.sigma, error.correlation_s, scale))
-
-
 def with_error(trial: TrialFit, error: ModelError) -> TrialFit:
     """A trial with another error of its model."""
-    return replace(
-        trial,
-        problem=trial.problem.with_model_error(error),
-        held_out=trial.held_out and trial.held_out.with_model_error(error),
-    )
+    return over_both(trial, lambda problem: problem.with_model_error(error))
+
+
+def over_both(trial: TrialFit, changed: Callable[[FitProblem], FitProblem]) -> TrialFit:
+    """A trial with its problems changed, over the fitted samples and over those held out; its fit is as before."""
+    return replace(trial, problem=changed(trial.problem), held_out=trial.held_out and changed(trial.held_out))
 
 
 def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
@@ -477,39 +458,36 @@ def own_thinning_error(
 def corrected(trial: TrialFit, correction: tuple[FloatArray, FloatArray]) -> TrialFit:
     """A trial with another mesh correction, as `own_thinning_error` gives it; its fit is as before."""
     error_K, at_s = correction
-
-    def with_own(problem: FitProblem) -> FitProblem:
-        return problem.with_correction(error_K[:, np.isin(at_s, problem.record_fits[0].sample_s)])
-
-    return replace(trial, problem=with_own(trial.problem), held_out=trial.held_out and with_own(trial.held_out))
+    return over_both(trial, lambda p: p.with_correction(error_K[:, np.isin(at_s, p.record_fits[0].sample_s)]))
 
 
 def problem_with(base: TrialFit, candidate: Candidate) -> FitProblem:
     """The base's problem with the parameters of a candidate."""
-    return candidate_problem(base, base.record_fit, candidate, _names(base, candidate), prior_scale=WIDENED)
+    return candidate_problem(base, base.record_fit, candidate)
 
 
-def held_out_problem_with(base: TrialFit, candidate: Candidate) -> FitProblem | None:
-    """The samples held out with the parameters of a candidate; None where there are none."""
+def held_out_problem_with(
+    base: TrialFit,
+    candidate: Candidate,
+    names: Sequence[str] | None = None,
+    changed: Callable[[Record], Record] | None = None,
+) -> FitProblem | None:
+    """The samples held out with the parameters of a candidate; None where there are none.
+
+    names : of all estimated parameters, by default the base's and the candidate's;  changed : makes another record
+    """
     if base.held_out is None:
         return None
     record_fit = base.held_out.record_fits[0]
-    chosen = [record_fit.record.holdout_mask()]
-    return candidate_problem(
-        base, record_fit, candidate, _names(base, candidate), prior_scale=WIDENED, sample_masks=chosen
-    )
-
-
-def _names(base: TrialFit, candidate: Candidate) -> tuple[str, ...]:
-    """Names of the base's parameters and the candidate's, each once."""
-    return tuple(dict.fromkeys((*base.record_fit.names, *candidate.names)))
+    record = record_fit.record if changed is None else changed(record_fit.record)
+    return candidate_problem(base, record_fit, candidate, names, record, sample_masks=[record.holdout_mask()])
 
 
 def candidate_problem(
     base: TrialFit,
     record_fit: RecordFit,
     candidate: Candidate,
-    names: Sequence[str],
+    names: Sequence[str] | None = None,
     record: Record | None = None,
     **options: Any,
 ) -> FitProblem:
@@ -517,7 +495,8 @@ def candidate_problem(
 
     Its noise and mesh correction are the base's, as are the bounds of the clock and the priors of the table, unless the
     candidate has others.
-    record_fit : the base's part over the fitted or held-out samples;  names : of all estimated parameters
+    record_fit : the base's part over the fitted or held-out samples
+    names      : of all estimated parameters; by default the part's and the candidate's
     record     : where it is changed; that of the part by default
     """
     record = record or record_fit.record
@@ -526,8 +505,9 @@ def candidate_problem(
     if CLOCK_SKEW.name in candidate.names:
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
     priors |= candidate.priors
-    options |= {"effects": uses, "priors": priors, **THINNED_STEPS}
-    plain = [n for n in names if n not in record_fit.flight_names]
+    options |= {"effects": uses, "priors": priors, "prior_scale": WIDENED, **THINNED_STEPS}
+    estimated = dict.fromkeys((*record_fit.names, *candidate.names)) if names is None else names
+    plain = [n for n in estimated if n not in record_fit.flight_names]
     problem = FitProblem([record], plain, base.problem.reference, FitOptions(**options))
     # The noise of the base: likelihoods of candidates are compared, and noise fitted to each would absorb what one of
     # them explains.
