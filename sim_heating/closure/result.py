@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.parameters import AT
 from sim_heating.closure.clues.correlation import ResidualEvidence
 from sim_heating.closure.clues.record_checks import DataFault
@@ -385,6 +386,11 @@ class Closure:
     warnings: Sequence[str] = ()
     remarks: Sequence[Remark] = ()
     samples: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def reference_condition(self) -> dict[str, float]:
+        """What the derivatives refer to, by ratio variable."""
+        return dict(zip(RATIO_VARIABLES, map(float, self.reference), strict=True))
 
     @property
     def named(self) -> str:

@@ -50,7 +50,8 @@ class Factor:
 
         evidence : names of the evidence that is there
 
-        >>> factor("verification").level({"verification.core", "verification.error"})
+        >>> verification = next(f for f in rules().factors if f.name == "verification")
+        >>> verification.level({"verification.core", "verification.error"})
         1
         """
         reached = 0
@@ -90,8 +91,3 @@ def _factor(data: dict[str, object]) -> Factor:
     assert isinstance(levels, list)
     numbered = tuple(Level(i, level["rule"], tuple(level["needs"])) for i, level in enumerate(levels, start=1))
     return Factor(**data, levels=numbered)  # type: ignore[arg-type]
-
-
-def factor(name: str) -> Factor:
-    """The factor of a name."""
-    return next(f for f in rules().factors if f.name == name)

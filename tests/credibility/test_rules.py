@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_heating.credibility.rules import HIGHEST, REVIEW, factor, rules
+from sim_heating.credibility.rules import HIGHEST, REVIEW, rules
 
 EVERY = frozenset(n for f in rules().factors for level in f.levels for n in level.needs)
 COMPUTED = sorted(n for n in EVERY if not n.startswith(REVIEW))
@@ -48,6 +48,6 @@ def test_fewer_pieces_of_evidence_never_raise_a_level(some: set[str], taken: set
 
 
 def test_a_high_rule_does_not_make_up_for_a_low_one():
-    verification = factor("verification")
+    verification = next(f for f in rules().factors if f.name == "verification")
     assert verification.level({"verification.used", "verification.error"}) == 0
     assert verification.missing({"verification.core", "verification.error"}) == ("verification.used",)

@@ -48,6 +48,11 @@ class FlownPath:
         return FlownPath(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
+def joined_paths(paths: Sequence[FlownPath]) -> FlownPath:
+    """The samples of several paths."""
+    return FlownPath(*(np.concatenate([getattr(p, f.name) for p in paths]) for f in fields(FlownPath)))
+
+
 def record_path(
     record: Record, segments: Sequence[Sequence[float]] | None = None, transition: EffectUse | None = None
 ) -> FlownPath:

@@ -17,7 +17,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import or_left_out
 from sim_heating.base.files import write_json
 from sim_heating.base.files.package import package_version
@@ -55,7 +54,7 @@ def closure_json(closure: Closure) -> dict[str, Any]:
         "before": closure.before.segment_errors(),
         "after": closure.after.segment_errors(),
         "noise_floor_K": finite(closure.noise_floor_K),
-        "reference_condition": dict(zip(RATIO_VARIABLES, map(float, closure.reference), strict=True)),
+        "reference_condition": closure.reference_condition,
         "effect": effects[0],
         "effects": named,
         **closure.statement.as_json(),

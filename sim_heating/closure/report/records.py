@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import write_csv, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parameters import AT
@@ -56,7 +55,7 @@ def joint_closure_json(joint: JointClosure) -> dict[str, Any]:
         "before": joint.pooled([c.before for c in joint.closures]),
         "after": joint.pooled(joint.after),
         "noise_floor_K": finite(floor),
-        "reference_condition": _condition(first),
+        "reference_condition": first.reference_condition,
         "effect": effects[0],
         "effects": effects if joint.search.explained and best.kind == "effect" else [],
         **joint.statement.as_json(),
@@ -77,10 +76,6 @@ def joint_closure_json(joint: JointClosure) -> dict[str, Any]:
     }
 
 
-def _condition(closure: Closure) -> dict[str, float]:
-    return dict(zip(RATIO_VARIABLES, map(float, closure.reference), strict=True))
-
-
 def _record_json(closure: Closure, e: Evidence, prediction: Prediction) -> dict[str, Any]:
     """One record in closure.json; scores are differences of BIC, below 0 where they speak for the cause."""
     return {
@@ -96,7 +91,7 @@ def _record_json(closure: Closure, e: Evidence, prediction: Prediction) -> dict[
         "agreement_p": e.agreement,
         "data_faults": [{"kind": f.kind, "message": f.message} for f in closure.faults],
         "own_values": {n: {"value": v, "sigma": finite(s)} for n, (v, s) in e.own.items()},
-        "reference_condition": _condition(closure),
+        "reference_condition": closure.reference_condition,
         "before": closure.before.segment_errors(),
         "after": prediction.segment_errors(),
         "noise_floor_K": finite(closure.noise_floor_K),

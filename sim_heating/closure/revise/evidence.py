@@ -16,7 +16,7 @@ ratio are marginalised: their rows and columns of C are left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array, diags_array
@@ -27,6 +27,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, SECOND_ORDER
 from sim_heating.closure.prior.flown_path import (
     FlownPath,
+    joined_paths,
     marched_path,
     projection,
     record_path,
@@ -295,7 +296,7 @@ def _marched(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
         if start is None and any(n.startswith(OF_START) for n in estimate.parameters):
             begin = segments[0][0]
         parts.append(marched_path(record, segments, begin, transition))
-    path = FlownPath(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FlownPath)))
+    path = joined_paths(parts)
     return path.subset(_evenly(len(path.x)))
 
 
@@ -344,8 +345,9 @@ def _flown(
 def _path(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
     """The fitted samples of all records."""
     segments, transition = estimate.segments, fitted_use(estimate, TRANSITION)
-    parts = [record_path(r, None if segments is None else segments[i], transition) for i, r in enumerate(records)]
-    return FlownPath(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FlownPath)))
+    return joined_paths(
+        [record_path(r, None if segments is None else segments[i], transition) for i, r in enumerate(records)]
+    )
 
 
 def fitted_use(estimate: Estimate, name: str) -> EffectUse | None:

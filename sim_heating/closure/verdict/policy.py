@@ -1,6 +1,6 @@
 """Every threshold that decides what a closed loop states, in one value.
 
-A field of `Policy` has its unit, a sentence that says what it decides, and where its number comes from (`rules`).
+A field of `Policy` has its unit, a sentence that says what it decides, and where its number comes from (`rule`).
 Numbers that only say how long a search goes on are those of `Effort`: they cost time, and with too small ones a cause
 may be missed.
 """
@@ -8,9 +8,8 @@ may be missed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any
 
 CHOSEN = "a choice: no source is recorded"
 
@@ -168,19 +167,3 @@ class Effort:
 
 POLICY = Policy()
 EFFORT = Effort()
-
-
-class Rule(NamedTuple):
-    """A threshold: name, value, unit, what it decides, and where its number comes from."""
-
-    name: str
-    value: float
-    unit: str
-    sentence: str
-    source: str
-
-
-def rules(policy: Policy = POLICY) -> Iterator[Rule]:
-    """All thresholds of a policy, in the order in which they decide."""
-    for f in fields(policy):
-        yield Rule(f.name, getattr(policy, f.name), f.metadata["unit"], f.metadata["sentence"], f.metadata["source"])
