@@ -40,7 +40,6 @@ def rmse_K(prediction) -> float:
     return prediction.segment_errors()["fit"]["rmse_K"]
 
 
-@pytest.mark.thorough
 def test_the_flight_is_found_by_marches_where_its_linear_response_ends():
     fit = fitted(stated(1.0))
     linear = fit.problem.without_heating_error()

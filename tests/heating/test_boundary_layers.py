@@ -70,7 +70,7 @@ LINES = [(1200.0, 0.05, 222.0), (2500.0, 2e-3, 265.0), (4500.0, 3.1e-4, 247.0), 
 
 @pytest.mark.sample(5)
 @pytest.mark.parametrize(("V", "rho", "T_inf"), LINES)
-@pytest.mark.parametrize("sweep_deg", [0.0, 30.0, 45.0, 60.0])
+@pytest.mark.parametrize("sweep_deg", [60.0, 0.0, 30.0, 45.0])
 def test_a_swept_cylinder_is_within_1_5_percent_of_its_boundary_layer(V, rho, T_inf, sweep_deg):
     sweep = math.radians(sweep_deg)
     p_0, h_e, rho_0, p = stagnation_kernel(rho, V * math.cos(sweep), T_inf)
