@@ -10,6 +10,7 @@ a point, or of a record), and `estimated` with labels `name@owner`.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from sim_heating.base.files import write_csv, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parameters import AT
 from sim_heating.base.report.chart import Chart
-from sim_heating.base.report.page import Page, Section, sections_of, write_page
+from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.report.record import not_effects_section, tell_apart_section
 from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone, finite, listed
@@ -117,7 +118,7 @@ def joint_page(joint: JointClosure) -> Page:
         {
             "Not an aerothermal effect": lambda: not_effects_section(joint.statement),
             "What each record adds": lambda: _evidence_section(joint),
-            "Residuals side by side": lambda: Section("Residuals side by side", charts=_residual_charts(joint)),
+            "Residuals side by side": lambda: _residuals_section(joint),
             "What would tell them apart": lambda: tell_apart_section(joint.statement),
             "Errors": lambda: _errors_section(joint),
             "Does it explain the records?": lambda: _adequacy_section(joint),
@@ -184,6 +185,14 @@ def _residual_charts(joint: JointClosure) -> list[Chart]:
             curves.append((after, AFTER, f"with {' + '.join(joint.search.compared.names)}"))
         charts.append(fit_chart(closure.record, curves, temperatures=False))
     return charts
+
+
+def _residuals_section(joint: JointClosure) -> Section:
+    """Residuals of the records side by side; on paper one picture shows them all."""
+    first, *others = _residual_charts(joint)
+    picture = Picture(partial(residuals_figure, joint), "Measured minus predicted, by record.")
+    charts = [replace(first, picture=picture), *(replace(chart, pictured=False) for chart in others)]
+    return Section("Residuals side by side", charts=charts)
 
 
 def residuals_figure(joint: JointClosure) -> Figure:
