@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, display_path, plain_number, suggestion
+from sim_heating.base.files.csv_table import RUNS_BACK, runs_back
 from sim_heating.base.files.text import and_more_rows
 from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
@@ -38,9 +39,16 @@ from sim_heating.heating.recorded.cells.clocks import (
     over_midnight,
     with_colons,
 )
-from sim_heating.heating.recorded.cells.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
+from sim_heating.heating.recorded.cells.numbers import (
+    Numbers,
+    Signs,
+    number_signs,
+    numbers_of,
+    require_one_unit,
+    shown_cell,
+)
 from sim_heating.heating.recorded.cells.text import decoded, is_clock, is_number, rows_block, text_block
-from sim_heating.templates.loggers.files import json_block, kind_of_file, read_table
+from sim_heating.templates.loggers.files import kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
 from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
 from sim_heating.templates.loggers.readings import OPEN, far_off, fault_codes, lost_codes
@@ -312,8 +320,6 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
     kind = kind_of_file(path)
     if not kind:
         text = decoded(path)
-        if re.match(r"\s*(\{|\[\s*\{)", text):
-            return json_block(path, text)
         return lvm_block(path, text, chosen.sheet) if is_lvm(text) else text_block(path, text, chosen.separator)
     table = read_table(path, kind, chosen.sheet)
     if isinstance(table, Block):
@@ -440,23 +446,9 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
         may_be_clock = k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))
         clock = _clock_of_column(block, k, names, unit, chosen) if may_be_clock else None
         head = _Head(name, unit, numbers_of(cells, signs), clock, cells)
-        _require_one_unit(block, head)
+        require_one_unit(block, k, head.numbers, unit, list(SI_UNITS.values()))
         heads.append(head)
     return heads, signs
-
-
-def _require_one_unit(block: Block, head: _Head) -> None:
-    """Refuse a column whose name states another unit than its cells.
-
-    raises : InputError with the first such cell
-    """
-    named = {si: converted(head.stated, si) for si in SI_UNITS.values()}
-    if not head.numbers.unit or not any(named.values()):
-        return  # `Avg` is no unit
-    if named != {si: converted(head.numbers.unit, si) for si in SI_UNITS.values()}:
-        i = next(i for i, c in enumerate(head.cells) if c)
-        rule = f"has another unit than the name of the column, `{head.stated}`; write one unit"
-        raise InputError(f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` {rule}")
 
 
 def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
@@ -883,9 +875,10 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
     if _are_days(values) and step < 0.05:
         return "day", "", f"{column.reason}; days of a spreadsheet by the size"
     if not SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
+        likely = "ms" if step > LONGEST_STEP_S else "day" if values.min() >= DAY_NUMBERS[0] else "s"
         raise InputError(
             f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are hardly s; "
-            f"state it, --time-unit {'ms' if step > LONGEST_STEP_S else 's'}"
+            f"state it, --time-unit {likely}"
         )
     return "s", "no unit is stated: s assumed (--time-unit)", f"{column.reason}; no unit: s assumed"
 
@@ -913,15 +906,16 @@ def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
 def _with_the_newest_last(measured: MeasuredCsv) -> MeasuredCsv:
     """A file that begins with its newest row as one in the order of time, with a note; another one as it is."""
     clock = measured.of_kind(TIME)[0]
-    if len(clock.values) < 3 or not np.all(np.diff(clock.values) < 0.0):
+    if not runs_back(clock.values):
         return measured
     counted_s = float(clock.values[-1]) if "counted from the first" in clock.reason else 0.0
     columns = tuple(
         replace(c, values=c.values[::-1] - counted_s if c is clock else c.values[::-1]) for c in measured.columns
     )
     zero_s = None if measured.zero_s is None else measured.zero_s + counted_s
-    notes = (*measured.notes, "the rows run back in time: read from the last")
-    return replace(measured, columns=columns, rows=measured.rows[::-1], zero_s=zero_s, notes=notes)
+    return replace(
+        measured, columns=columns, rows=measured.rows[::-1], zero_s=zero_s, notes=(*measured.notes, RUNS_BACK)
+    )
 
 
 def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> MeasuredCsv:

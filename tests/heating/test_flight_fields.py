@@ -152,6 +152,28 @@ def test_lines_of_json_are_read(tmp_path):
     assert "not used: `stage`" in flight.notes
 
 
+@pytest.mark.parametrize("stamp", ["{t}", "2024-05-13 10:45:{t:02d}"])
+def test_rows_from_the_newest_to_the_first_are_read_from_the_last(tmp_path, stamp):
+    samples = [(stamp.format(t=t), 90.0 - t) for t in range(9, -1, -1)]
+    head = "Time (s)" if stamp == "{t}" else "Date"
+    (tmp_path / "f.csv").write_text(f"{head},alt_km,velocity_m_s\n" + "".join(f"{t},{z},1400\n" for t, z in samples))
+    flight = read_flight(tmp_path / "f.csv", COLUMNS)
+    assert flight.table["time_s"] == pytest.approx(np.arange(10.0))
+    assert flight.table["altitude_m"] == pytest.approx(90e3 - 1e3 * np.arange(10.0))
+    assert flight.table.lines[0] == 11
+    assert "the rows run back in time: read from the last" in flight.notes
+
+
+def test_a_clock_that_is_stated_to_be_the_time_is_read(tmp_path):
+    """Two columns of clocks, and no field that is called time."""
+    rows = "".join(f"13 May 2024 10:45:0{t}.000,2024-05-13 12:45:0{t},90,1400\n" for t in range(9))
+    (tmp_path / "f.csv").write_text("Sat.UTCGregorian,local,alt_km,velocity_m_s\n" + rows)
+    with pytest.raises(InputError, match="--field time_s=NAME"):
+        read_flight(tmp_path / "f.csv", COLUMNS, statement=OPTION)
+    flight = read_flight(tmp_path / "f.csv", COLUMNS, fields={"time_s": "Sat.UTCGregorian"})
+    assert flight.table["time_s"] == pytest.approx(np.arange(9.0))
+
+
 def test_names_of_a_trajectory_library_are_read(tmp_path):
     """The heads that RocketPy writes."""
     head = "# Time (s), Altitude ASL (m), Freestream Speed (m/s), Mach Number, Angle of Attack (°), Pressure (Pa)"

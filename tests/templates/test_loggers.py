@@ -18,6 +18,7 @@ from benchmarks.layouts import GOAL_READ, outcomes, share_read
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from sim_heating.cli.path_check import descriptions
+from sim_heating.heating.recorded.layout import read_fields
 from sim_heating.inputs.record import load_record
 from sim_heating.templates.loggers.layout_file import read_layout, write_layout
 from sim_heating.templates.loggers.readings import far_off
@@ -681,6 +682,17 @@ def rows_of(form: Callable[[int, float], str]) -> str:
             '"Model","GX10"\n\n"Ch.","","","CH1"\n"Tag","","","wall"\n"Unit","","","°C"\n"Date","Time","ms",""\n',
             lambda i, T: f"2024/05/13,10:45:{2 * i:02d},000,{T:.2f}",
         ),
+        ('TITLE = "rig"\nVARIABLES = "Time [s]"\n"TC1 [C]"\nZONE I=12, F=POINT\n', lambda i, T: f" {2 * i} {T:.4E}"),
+        ("Time(s) TC1(C)\n", lambda i, T: f" {2 * i / 10:.4f}D+01 {T / 100:.6f}D+02"),
+        (
+            "Time,TC1 (C)\n",
+            lambda i, T: (
+                f"2024-366T23:59:{40 + 2 * i}Z,{T:.2f}" if i < 10 else f"2025-001T00:00:{2 * i - 20:02d}Z,{T:.2f}"
+            ),
+        ),
+        ("Time,TC1 (C)\n", lambda i, T: f"2024:134:10:45:{2 * i:02d}.000,{T:.2f}"),
+        ("min,degC\nTime,TC1\n", lambda i, T: f"{2 * i / 60:.7f},{T:.2f}"),
+        ("Time,TC1\nmin,degC\nElapsed time,Wall front\n", lambda i, T: f"{2 * i / 60:.7f},{T:.2f}"),
     ],
     ids=[
         "French",
@@ -692,6 +704,12 @@ def rows_of(form: Callable[[int, float], str]) -> str:
         "JSON lines",
         "JSON list",
         "Yokogawa",
+        "Tecplot",
+        "Fortran",
+        "day of the year",
+        "day of the year with colons",
+        "units above names",
+        "remarks below units",
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*no unit is stated")
@@ -717,6 +735,46 @@ def test_a_row_of_json_lines_that_is_no_object_is_named() -> None:
         read_measured_csv(Path("t.jsonl"))
 
 
+def test_columns_of_json_are_read() -> None:
+    Path("t.json").write_text(json.dumps({"time_s": list(range(12)), "TC1_K": CHANNEL_K.tolist()}))
+    np.testing.assert_allclose(read_measured_csv(Path("t.json")).of_kind(TEMPERATURE)[0].si, CHANNEL_K)
+
+
+@pytest.mark.parametrize("read", [read_measured_csv, read_fields])
+def test_a_damaged_line_of_json_is_named(read: Callable[[Path], object]) -> None:
+    for text in ('{"time_s": 0, "T_K": 293}\n{"time_s": 1,\n', '[{"time_s": 0, "T_K": 293},\n{"time_s": 1,,}]'):
+        Path("t.json").write_text(text)
+        with pytest.raises(InputError, match=r"^t.json, row 2: is not JSON"):
+            read(Path("t.json"))
+
+
+@pytest.mark.parametrize("read", [read_measured_csv, read_fields])
+@pytest.mark.parametrize(
+    ("zones", "said"),
+    [
+        (
+            "ZONE I=3, F=BLOCK\n0 1 2\n20 21 22\n",
+            "row 3: `0 1 2` is not one number for each of 2 variables; export one",
+        ),
+        ("ZONE I=2\n0 20\n1 21\nZONE I=2\n0 20\n1 21\n", "row 5: `ZONE I=2` is not one number for each of 2"),
+    ],
+)
+def test_a_tecplot_file_that_is_no_list_of_points_is_refused(
+    read: Callable[[Path], object], zones: str, said: str
+) -> None:
+    Path("t.dat").write_text(f'VARIABLES = "Time (s)", "TC1 (C)"\n{zones}')
+    with pytest.raises(InputError, match=re.escape(said)):
+        read(Path("t.dat"))
+
+
+def test_a_leap_second_is_asked_and_taken_by_period() -> None:
+    stamps = ("2016-12-31T23:59:58Z", "2016-12-31T23:59:60Z", "2017-01-01T00:00:01Z")
+    rows("Time,TC1 (C)", [f"{stamp},{20 + k}" for k, stamp in enumerate(stamps)])
+    with pytest.raises(InputError, match=r"`2016-12-31T23:59:60Z` may be a leap second or midnight"):
+        read_measured_csv(Path("t.csv"))
+    assert span_s(read_measured_csv(Path("t.csv"), period_s=2.0)) == 4.0
+
+
 def test_rows_from_the_newest_to_the_first_are_read_from_the_last() -> None:
     rows = rows_of(lambda i, T: f"2024-05-13 10:45:{2 * i:02d},{T:.2f}").splitlines()
     Path("t.csv").write_text("Date,TC1 (C)\n" + "\n".join(reversed(rows)))
@@ -731,9 +789,21 @@ def test_rows_from_the_newest_to_the_first_are_read_from_the_last() -> None:
 @pytest.mark.parametrize(
     ("head", "row", "said"),
     [
-        ("Time (s),TC1 (C)", "{t},{y:.1f} °F", "row 2, column TC1: `20.0 °F` has another unit than the name"),
-        ("Time (s),TC1 (C)", "{t},{y:.1f}%", "row 2, column TC1: `20.0%` has another unit than the name"),
-        ("Time (s),TC1 (C)", "{t} ms,{y:.1f}", "row 2, column Time: `0 ms` has another unit than the name"),
+        (
+            "Time (s),TC1 (C)",
+            "{t},{y:.1f} °F",
+            "row 2, column TC1 (C): `20.0 °F` has another unit than the column states, `C`",
+        ),
+        (
+            "Time (s),TC1 (C)",
+            "{t},{y:.1f}%",
+            "row 2, column TC1 (C): `20.0%` has another unit than the column states, `C`",
+        ),
+        (
+            "Time (s),TC1 (C)",
+            "{t} ms,{y:.1f}",
+            "row 2, column Time (s): `0 ms` has another unit than the column states, `s`",
+        ),
     ],
 )
 def test_cells_in_another_unit_than_their_column_states_are_refused(head: str, row: str, said: str) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
 from sim_heating.base.errors import InputError, reworded
 from sim_heating.base.files import CsvTable, display_path, nearest_name, raise_problems
+from sim_heating.base.files.csv_table import RUNS_BACK, runs_back
 from sim_heating.base.files.text import and_more_rows
 from sim_heating.heating.recorded.derive import derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit, field_of_name
@@ -155,7 +156,17 @@ def read_flight(
             notes.append(f"{text} {', '.join(f'`{n}`' for n in names)}")
     of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(flight.columns)
     fields_of = {column: f.name for column, f in flight.fields.items()}
-    return FlightTable(flight.table(columns), tuple(notes), tuple(assumed), of_model, fields_of)
+    return newest_last(FlightTable(flight.table(columns), tuple(notes), tuple(assumed), of_model, fields_of))
+
+
+def newest_last(flight: FlightTable) -> FlightTable:
+    """A flight that begins with its newest row in the order of time, told; another one as it is."""
+    table = flight.table
+    if not runs_back(table["time_s"]):
+        return flight
+    columns = {name: values[::-1] for name, values in table.columns.items()}
+    table = replace(table, columns=columns, lines=table.lines[::-1])
+    return replace(flight, table=table, notes=(*flight.notes, RUNS_BACK))
 
 
 def _of_row(flight: FlightFields, line: str) -> str:

@@ -43,7 +43,7 @@ ZONES = {**_EUROPE, **_AMERICA}
 """Names of offsets from UTC [h]; they matter where they change within a file."""
 DATE = (
     r"(?:(?P<a>\d{1,4})(?P<mark>[-/. ])(?P<b>\d{1,2}|[^\W\d]{3,9}\.?)(?:(?P=mark)|, ?)(?P<c>\d{2,4})"
-    r"|(?P<named>[^\W\d]{3,9})\.? (?P<nd>\d{1,2}),? (?P<ny>\d{4})|(?P<basic>\d{8}))"
+    r"|(?P<named>[^\W\d]{3,9})\.? (?P<nd>\d{1,2}),? (?P<ny>\d{4})|(?P<ordinal>\d{4}[-/:]?\d{3})|(?P<basic>\d{8}))"
 )
 TIME = (
     r"(?:(?P<days>\d{1,4}) (?:days?,? )?)?(?P<h>\d{1,4}):(?P<m>\d{1,2})(?::(?P<s>\d{1,2})(?::(?P<x>\d{1,3}))?)?"
@@ -53,7 +53,7 @@ BASIC_TIME = r"(?P<bt>\d{4}(?:\d{2})?)(?:[.,](?P<bf>\d{1,9}))?"
 HALF = r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
 OFFSET = r"(?: ?(?P<zone>[A-Za-z]{1,4})?(?P<offset>[+\u2212-]\d{2}(?::?\d{2})?)?)"
 STAMP = re.compile(
-    rf"'?(?:[A-Za-z]{{2,9}},? +)?{DATE}(?:(?:[T_-]|,? +|(?<=\d{{4}}):)(?:{TIME}|{BASIC_TIME}){HALF}{OFFSET})?"
+    rf"'?(?:[A-Za-z]{{2,9}},? +)?{DATE}(?:(?:[T_-]|,? +|(?<=\d{{3}}):)(?:{TIME}|{BASIC_TIME}){HALF}{OFFSET})?"
 )
 OF_DAY = re.compile(rf"'?{TIME}{HALF}{OFFSET}")
 ALL_BASIC = re.compile(r"(?:19|20)\d{12}(?:[.,]\d+)?")
@@ -185,6 +185,8 @@ def _time_of_day(cells: _Cells, unit: str | None) -> tuple[FloatArray, bool, str
         )
     if np.any(time.seconds >= 61.0):
         raise cells.problem("is no time of day; mend the cell", int(np.argmax(time.seconds >= 61.0)))
+    if np.any(leaps := (time.hours == 23.0) & (time.minutes == 59.0) & (time.seconds >= 60.0)):
+        raise cells.problem("may be a leap second or midnight; mend the cell, or give --period", int(np.argmax(leaps)))
     if any(cells.strings("half")):
         time, layout = time._replace(hours=_hours_of_halves(cells, time.hours)), f"{layout}, AM and PM"
     seconds = time.days * DAY_S + 3600.0 * time.hours + 60.0 * time.minutes + time.seconds + time.fraction
@@ -296,6 +298,11 @@ def _unambiguous_days(cells: _Cells) -> tuple[FloatArray, str] | None:
     if cells.groups["basic"][first]:
         texts = [text or "00000000" for text in cells.strings("basic")]
         return _day(*(np.array([float(t[p]) for t in texts]) for p in DIGITS_OF_BASIC)), "yyyymmdd"
+    if cells.groups["ordinal"][first]:
+        texts = [text or "0000000" for text in cells.strings("ordinal")]
+        year, number = (np.array([float(t[part]) for t in texts]) for part in (slice(4), slice(-3, None)))
+        first_day, after = (_day(y, np.ones(len(y)), np.ones(len(y))) for y in (year, year + 1.0))
+        return np.where((number >= 1.0) & (number <= after - first_day), first_day + number - 1.0, np.nan), "yyyy-ddd"
     if cells.groups["named"][first]:
         year, day = cells.numbers("ny"), cells.numbers("nd")
         return _day(year, _months(cells.strings("named")), day), "with names of months"

@@ -13,6 +13,8 @@ from sim_heating.base.files import display_path, read_text
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import converted, known_unit
 from sim_heating.heating.recorded.cells.block import Block
+from sim_heating.heating.recorded.cells.json_rows import is_json, json_block
+from sim_heating.heating.recorded.cells.tecplot import is_tecplot, tecplot_block
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", " ": "blanks"}
 """In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates."""
@@ -24,12 +26,18 @@ NUMBER_CELL = re.compile(rf"{PLAIN}\s*(?:[^\d\s.,;:/([-][^\d,;:([]{{0,15}}\d?|[(
 """A number, also with a unit behind it, such as `21.3 °C`; `1TC (degC)` is the name of a channel."""
 CLOCK_CELL = re.compile(
     r"'?(?:[A-Za-z]{3,9},? )?(?:\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3,9}\.?)[-/.]\d{1,4}.*"
-    r"|\d{1,3}(?: (?:days?,? )?\d{1,2})?:\d{1,2}\b.*|\d{8}[T _]\d{4,6}.*"
+    r"|\d{1,3}(?: (?:days?,? )?\d{1,2})?:\d{1,2}\b.*|\d{8}[T _]\d{4,6}.*|\d{4}[-/:]?\d{3}[T: ]\d{1,2}:\d{1,2}\b.*"
     r"|\d{1,2} [A-Za-z]{3,9} \d{4}.*|[A-Za-z]{3,9} \d{1,2},? \d{4}.*)"
 )
 """What may be a date or a time of day."""
 SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
 """Several numbers in one cell."""
+FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
+"""The sign of an exponent as Fortran writes it, `1.0D+03`."""
+FORTRAN_ROW = re.compile(r"[\s\d.,;+\-dD]+")
+"""A row of such numbers, and of nothing else."""
+RULE = re.compile(r"[\s|+\-=:]{3,}")
+"""A line of dashes, which separates the names of a list from its rows."""
 SIGN_APART = re.compile(r"(?m)(^|[,;\t|])([+-]) +(?=[\d.])")
 """A sign with blanks behind it, as Graphtec writes numbers."""
 PROCESS = {"", "avg", "smp", "min", "max", "std", "tot", "sample", "ave", "average", "last", "mean"}
@@ -69,9 +77,14 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
     separator : between cells, where it is known
     raises    : InputError, one line, where rows differ in their cells, or there are none of numbers
     """
+    if is_json(text):
+        return json_block(path, text)
+    if is_tecplot(text):
+        return tecplot_block(path, text)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = (SIGN_APART.sub(r"\1\2", text) if "+ " in text or "- " in text else text).split("\n")
-    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;")]
+    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;") and not RULE.fullmatch(line)]
+    numbered = [(i, FORTRAN.sub("E", line) if FORTRAN_ROW.fullmatch(line) else line) for i, line in numbered]
     if numbered and (stated := re.fullmatch(r"sep=(.)\s*", numbered[0][1].strip('"'))):
         separator, numbered = separator or stated[1], numbered[1:]
     recorder = _recorder(numbered)
@@ -275,7 +288,12 @@ def _first_row(split: Sequence[Row], width: int, recorder: str) -> int | None:
 
 def _names_below(split: Sequence[Row], k: int) -> bool:
     """Whether a row of names follows within a few rows."""
-    return any(sum(re.search(NAME_WORDS, c) is not None for c in cells) >= 2 for _, cells in split[k + 1 : k + 4])
+    return any(_count_of_names(cells) >= 2 for _, cells in split[k + 1 : k + 4])
+
+
+def _count_of_names(cells: Sequence[str]) -> int:
+    """How many cells are names of a time or a reading by their words."""
+    return sum(re.search(NAME_WORDS, c) is not None for c in cells)
 
 
 def _last_row(split: Sequence[Row], first: int, width: int) -> int:
@@ -316,8 +334,13 @@ def _head(
         rows = rows[1:]
     if not rows:
         return [f"column{k + 1}" for k in range(width)], none, 0
-    if len(rows) > 1 and (_is_unit_row(rows[0][1]) or _are_names_above(rows)):
+    if len(rows) > 1 and _are_names_above(rows):
         return rows[1][1], [c.strip() for c in rows[0][1]], rows[1][0]
+    for k, (_, cells) in enumerate(rows[:2]):
+        others = [*rows[k + 1 : k + 2], *rows[:k]]  # names stand above their units, or below
+        if others and _is_unit_row(cells) and not _is_label_of_units(cells[0]):
+            line, names = max(others, key=lambda row: _count_of_names(row[1]))
+            return names, [c.strip() for c in cells], line
     return _with_names_above(rows), _labelled_units(rows) or none, rows[0][0]
 
 
@@ -360,7 +383,7 @@ def _are_names_above(rows: Sequence[tuple[int, list[str]]]) -> bool:
     """Whether the second row above the data names a time and more, and the first one nothing: it holds units, known or
     not."""
     low, high = rows[0][1], rows[1][1]
-    is_named = sum(re.search(NAME_WORDS, c) is not None for c in high) >= 2
+    is_named = _count_of_names(high) >= 2
     if is_named and any(converted(c, si) is not None for c in low if c for si in ("K", "W/m2")):
         return True
     return is_named and not any(re.search(NAME_WORDS, c) for c in low) and all(len(c) < 12 for c in low)
