@@ -60,7 +60,11 @@ TIME, TEMPERATURE, FLUX, UNUSED = "time", "temperature", "heat flux", "not used"
 SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
-    (TIME, r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum)([^a-z]|$)|^t$|^x_value$"),
+    (
+        TIME,
+        r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow)([^a-z]|$)"
+        r"|^t$|^x_value$",
+    ),
     (
         TIME,
         r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sek.*"
@@ -331,24 +335,33 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
 
 
 def _with_unit_column(block: Block) -> Block:
-    """A table whose unit stands in a column of its own as one with units of its columns.
+    """A table whose units stand in a column of their own, or in one behind each reading, as one with units of its
+    columns.
 
-    raises : InputError where that column holds several units
+    raises : InputError where such a column holds several units
     """
-    called = [k for k, n in enumerate(block.names) if re.fullmatch(r"(?i)(temp\w*[ _])?units?|einheit", n.strip())]
-    if not called:
-        return block
-    k = called[0]
-    units = sorted({c for c in block.column(k) if c})
+    called = [k for k, n in enumerate(block.names) if re.fullmatch(r"(?i)(.*[ _])?units?|einheit", n.strip())]
+    stated = list(block.units)
+    for k in called:
+        unit = _unit_in_cells(block, k)
+        for concerned in range(len(stated)) if len(called) == 1 else [k - 1]:
+            if unit and _lacks_unit(block.names[concerned]):
+                stated[concerned] = stated[concerned] or unit
+    return replace(block, units=tuple(stated))
+
+
+def _unit_in_cells(block: Block, k: int) -> str:
+    """The unit of temperature that all cells of a column are; empty where they are none.
+
+    raises : InputError where they are several
+    """
+    units = list(dict.fromkeys(c for c in block.column(k) if c))
     if len(units) > 1 and any(converted(u, "K") for u in units):
-        i = next(i for i, c in enumerate(block.column(k)) if c and c != block.column(k)[0])
+        i = block.column(k).index(units[1])
         raise InputError(
             f"{block.at(i, block.names[k])}: `{units[1]}` is another unit than `{units[0]}`; write one unit"
         )
-    if len(units) != 1 or converted(units[0], "K") is None:
-        return block
-    stated = zip(block.names, block.units, strict=True)
-    return replace(block, units=tuple(unit or (units[0] if _lacks_unit(name) else "") for name, unit in stated))
+    return units[0] if len(units) == 1 and converted(units[0], "K") is not None else ""
 
 
 def _lacks_unit(name: str) -> bool:
@@ -436,7 +449,8 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     """Names, units and cells of the columns, by one layout of numbers for the file."""
     names, stated = _names_and_units(block)
     if chosen.time_unit == "hhmmss":
-        as_clock = [with_colons(c) if re.search(HEADS[0][1], n) else c for n, c in zip(names, block.cells, strict=True)]
+        times = {n for n in names if re.search(HEADS[0][1], n)} | {chosen.time}
+        as_clock = [with_colons(c) if n in times else c for n, c in zip(names, block.cells, strict=True)]
         block = replace(block, cells=tuple(as_clock))
     clocks = {k for k in range(len(names)) if _mostly(block.column(k), is_clock)}
     signs = number_signs(block, sorted({*range(len(names))} - clocks), chosen.decimal)
@@ -475,6 +489,8 @@ def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chos
     raises : InputError where its layout is not clear, and it is the time
     """
     name, its_names = names[k], (names[k], block.names[k])
+    if chosen.period_s is not None:
+        return None
     if chosen.time is not None and chosen.time not in its_names and not _is_partner(name):
         return None
     try:

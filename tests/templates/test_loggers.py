@@ -691,8 +691,8 @@ def rows_of(form: Callable[[int, float], str]) -> str:
             ),
         ),
         ("Time,TC1 (C)\n", lambda i, T: f"2024:134:10:45:{2 * i:02d}.000,{T:.2f}"),
-        ("min,degC\nTime,TC1\n", lambda i, T: f"{2 * i / 60:.7f},{T:.2f}"),
-        ("Time,TC1\nmin,degC\nElapsed time,Wall front\n", lambda i, T: f"{2 * i / 60:.7f},{T:.2f}"),
+        ("ms,degC\nTime,TC1\n", lambda i, T: f"{2000 * i},{T:.2f}"),
+        ("Time,TC1\nms,degC\nElapsed time,Wall front\n", lambda i, T: f"{2000 * i},{T:.2f}"),
     ],
     ids=[
         "French",

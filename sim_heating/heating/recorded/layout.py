@@ -215,12 +215,15 @@ def _block(path: Path, text: str) -> Block:
 
 
 def _with_clock(block: Block, declared: Mapping[str, ConditionField | str]) -> Mapping[str, ConditionField | str]:
-    """Declared fields, with the only column of clocks as the time where none is declared, nor called so."""
+    """Declared fields, with the column of clocks as the time that is called so, else the only one, where none is
+    declared."""
     from sim_heating.heating.recorded.cells.text import is_clock
 
-    called = [f for f in map(field_of_name, block.names) if f is not None and f.column == "time_s"]
-    clocks = [name for k, name in enumerate(block.names) if all(map(is_clock, block.column(k)[:50]))]
-    return declared if called or "time_s" in declared or len(clocks) != 1 else {**declared, "time_s": clocks[0]}
+    called = [name for name in block.names if (f := field_of_name(name)) is not None and f.column == "time_s"]
+    first = [(name, [c for c in block.column(k)[:50] if c]) for k, name in enumerate(block.names)]
+    clocks = [name for name, cells in first if cells and all(map(is_clock, cells))]
+    times = [name for name in called or clocks if name in clocks]
+    return declared if "time_s" in declared or len(times) != 1 else {**declared, "time_s": times[0]}
 
 
 def _units_and_numbers(

@@ -6,6 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
@@ -16,8 +17,9 @@ from sim_heating.heating.recorded.cells.block import Block
 from sim_heating.heating.recorded.cells.json_rows import is_json, json_block
 from sim_heating.heating.recorded.cells.tecplot import is_tecplot, tecplot_block
 
-SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", " ": "blanks"}
-"""In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates."""
+WIDE = "  "
+SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", WIDE: "wide blanks", " ": "blanks"}
+"""In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates, and no two do."""
 Row = tuple[int, Sequence[str]]
 """Line and cells; tuples, which the collector of garbage leaves alone, of a million rows."""
 PLAIN = r"[+-]?(?:\d[\d.,'\u00a0\u202f]*|[.,]\d+)(?:[eE][+-]?\d+)?"
@@ -26,8 +28,9 @@ NUMBER_CELL = re.compile(rf"{PLAIN}\s*(?:[^\d\s.,;:/([-][^\d,;:([]{{0,15}}\d?|[(
 """A number, also with a unit behind it, such as `21.3 °C`; `1TC (degC)` is the name of a channel."""
 CLOCK_CELL = re.compile(
     r"'?(?:[A-Za-z]{3,9},? )?(?:\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3,9}\.?)[-/.]\d{1,4}.*"
-    r"|\d{1,3}(?: (?:days?,? )?\d{1,2})?:\d{1,2}\b.*|\d{8}[T _]\d{4,6}.*|\d{4}[-/:]?\d{3}[T: ]\d{1,2}:\d{1,2}\b.*"
-    r"|\d{1,2} [A-Za-z]{3,9} \d{4}.*|[A-Za-z]{3,9} \d{1,2},? \d{4}.*)"
+    r"|\d{1,3}(?:(?:[ /]| ?d(?:ays?)?,? )\d{1,2})?:\d{1,2}\b.*|\d{8}[T _]\d{4,6}.*"
+    r"|\d{4}[-/:]?\d{3}[T: ]\d{1,2}:\d{1,2}\b.*"
+    r"|\d{1,2}\.? [^\W\d]{3,9}\.? \d{4}.*|[A-Za-z]{3,9} +\d{1,2}(?:,? \d{4}| \d{1,2}:\d{2}:).*)"
 )
 """What may be a date or a time of day."""
 SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
@@ -46,6 +49,10 @@ NAME_WORDS = r"(?i)time|zeit|date|datum|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$
 """Words by which a row is one of names."""
 COMMENT_SIGNS = ("#", "%")
 """Signs that begin a line of comment, which may hold the names of the columns."""
+TIME_WORDS = r"(?i)time|zeit|date|datum|^t$|^(elapsed )?sec"
+"""Words of the name of a time."""
+HEAD_LINES = 50
+"""Most lines above the data."""
 TRAILER_LINES = 30
 """Most lines behind the data that may be a summary."""
 SAMPLE_LINES = 4000
@@ -84,7 +91,9 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = (SIGN_APART.sub(r"\1\2", text) if "+ " in text or "- " in text else text).split("\n")
     numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;") and not RULE.fullmatch(line)]
-    numbered = [(i, FORTRAN.sub("E", line) if FORTRAN_ROW.fullmatch(line) else line) for i, line in numbered]
+    if FORTRAN.search(text):
+        numbered = [(i, FORTRAN.sub("E", line) if FORTRAN_ROW.fullmatch(line) else line) for i, line in numbered]
+    numbered = _with_closed_quotes(numbered)
     if numbered and (stated := re.fullmatch(r"sep=(.)\s*", numbered[0][1].strip('"'))):
         separator, numbered = separator or stated[1], numbered[1:]
     recorder = _recorder(numbered)
@@ -101,6 +110,20 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
     except csv.Error as error:  # such as a cell of more than 131072 characters
         raise InputError(f"{display_path(path)}: cannot be read as a table ({error}); give a file of numbers") from None
     return rows_block(path, rows, sign, recorder=recorder, lines=dict(numbered))
+
+
+def _with_closed_quotes(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Lines above the data in which a quoted name may stand on several lines of the file, as in spreadsheets."""
+    head, rest = lines[:HEAD_LINES], lines[HEAD_LINES:]
+    joined: list[tuple[int, str]] = []
+    is_open = False
+    for i, line in head:
+        if is_open:
+            joined[-1] = (joined[-1][0], f"{joined[-1][1]} {line}")
+        else:
+            joined.append((i, line))
+        is_open ^= line.count('"') % 2 == 1
+    return lines if is_open else [*joined, *rest]
 
 
 def _recorder(lines: Sequence[tuple[int, str]]) -> str:
@@ -142,11 +165,13 @@ def _labelled_values(texts: Sequence[str]) -> tuple[list[str], list[list[str]]] 
 def split_lines(lines: Sequence[tuple[int, str]], sign: str) -> list[Row]:
     """Number and cells of each line; a quoted cell may hold the separator, and ends with its line.
 
-    sign : separator; a blank stands for any number of blanks
+    sign : separator; a blank stands for any number of blanks, and two for two or more
     """
     texts = [line for _, line in lines]
     if sign == " ":
         rows = [line.split() for line in texts]
+    elif sign == WIDE:
+        rows = [re.split(r" {2,}|\t+", line.strip()) for line in texts]
     else:
         rows = list(csv.reader(texts, delimiter=sign, skipinitialspace=True))
         if len(rows) != len(texts):  # a quote that is not closed
@@ -160,9 +185,11 @@ def _separator(lines: Sequence[tuple[int, str]]) -> str:
     sample = lines if len(lines) <= 2 * half else [*lines[:half], *lines[-half:]]
     best, most = ",", 0.0
     for sign in SEPARATORS:
-        if not any((sign if sign != " " else " ") in line or (sign == " " and "\t" in line) for _, line in sample):
+        if not any(sign in line or (sign == " " and "\t" in line) for _, line in sample):
             continue
         rows = [cells for _, cells in split_lines(sample, sign)]
+        if sign == WIDE and not any(" " in cell and is_clock(cell) for row in rows[:50] for cell in row):
+            continue
         width, often = max(Counter(len(r) for r in rows).items(), key=lambda item: (item[1], item[0]))
         if width < 2:
             continue
@@ -184,7 +211,8 @@ def _is_torn(cell: str, sign: str) -> bool:
     if re.fullmatch(r"\d{8}\s+\d{4,6}", cell):
         return False
     if CLOCK_CELL.fullmatch(cell):
-        return re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
+        ends_in_year = re.search(r"[A-Za-z]{3} +\d{1,2} [\d:]+ \d{4}$", cell)
+        return not ends_in_year and re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
     return re.search(r"\d[.,]?\s+[+-]?[.,]?\d", cell) is not None
 
 
@@ -277,13 +305,29 @@ def _is_comment(cells: Sequence[str]) -> bool:
 
 def _first_row(split: Sequence[Row], width: int, recorder: str) -> int | None:
     """Index of the first row of data: of the usual width, and so is the next one."""
-    ahead = {"Campbell TOA5": 4, "Campbell TOACI1": 2}.get(recorder, 0)
+    ahead = {"Campbell TOA5": 4, "Campbell TOACI1": 2}.get(recorder, 0) or _rows_to_the_time(split[:HEAD_LINES], width)
     for k in range(ahead, len(split)):
         if len(split[k][1]) == width and not _is_comment(split[k][1]) and _is_data(split[k][1]):
             after = split[k + 1][1] if k + 1 < len(split) else split[k][1]
             if _is_comment(after) or (len(after) == width and _is_data(after)) or not _names_below(split, k):
                 return k
     return None
+
+
+def _rows_to_the_time(split: Sequence[Row], width: int) -> int:
+    """Number of rows up to the first that names a time right above one; 0 where there is none, or data stand before.
+
+    Such a row may also name channels by numbers, and pairs as `Rate,10` may stand above it.
+    """
+    for k, ((_, cells), (_, below)) in enumerate(pairwise(split)):
+        if is_number(cells[0]) or is_clock(cells[0]):
+            return 0
+        if len(cells) == len(below) == width and any(
+            re.search(TIME_WORDS, cell) and (is_number(value) or is_clock(value))
+            for cell, value in zip(cells, below, strict=True)
+        ):
+            return k + 1
+    return 0
 
 
 def _names_below(split: Sequence[Row], k: int) -> bool:
