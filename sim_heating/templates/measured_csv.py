@@ -344,14 +344,15 @@ def _with_unit_column(block: Block) -> Block:
     stated = list(block.units)
     for k in called:
         unit = _unit_in_cells(block, k)
-        for concerned in range(len(stated)) if len(called) == 1 else [k - 1]:
-            if unit and _lacks_unit(block.names[concerned]):
-                stated[concerned] = stated[concerned] or unit
+        if len(called) > 1:
+            stated[k - 1] = stated[k - 1] or unit
+        elif converted(unit, "K"):
+            stated = [other or (unit if _lacks_unit(n) else "") for other, n in zip(stated, block.names, strict=True)]
     return replace(block, units=tuple(stated))
 
 
 def _unit_in_cells(block: Block, k: int) -> str:
-    """The unit of temperature that all cells of a column are; empty where they are none.
+    """The unit that all cells of a column are; empty where they are none, or several of which none is a temperature.
 
     raises : InputError where they are several
     """
@@ -361,7 +362,7 @@ def _unit_in_cells(block: Block, k: int) -> str:
         raise InputError(
             f"{block.at(i, block.names[k])}: `{units[1]}` is another unit than `{units[0]}`; write one unit"
         )
-    return units[0] if len(units) == 1 and converted(units[0], "K") is not None else ""
+    return units[0] if len(units) == 1 else ""
 
 
 def _lacks_unit(name: str) -> bool:
@@ -600,7 +601,7 @@ def _kind_by_name(name: str) -> str:
 def _reason_of_few_numbers(head: _Head) -> str:
     """Why a column is not read, where most of its cells hold no number; empty for others, and for a time."""
     count = int(np.count_nonzero(np.isfinite(head.numbers.values)))
-    full = sum(bool(c) for c in head.cells)
+    full = len(head.cells) - head.cells.count("")
     named = {kind for kind, pattern in HEADS if re.search(pattern, head.name)}
     if (count and 2 * count >= full) or TIME in named or (named and head.numbers.torn >= 0):
         return ""
@@ -774,7 +775,9 @@ def _is_read(head: _Head) -> bool:
     """Whether most cells of a column called time are numbers, or a clock in a layout that is read."""
     if head.clock is not None:
         return True
-    return int(np.count_nonzero(np.isfinite(head.numbers.values))) > 0.5 * max(sum(bool(c) for c in head.cells), 1)
+    return int(np.count_nonzero(np.isfinite(head.numbers.values))) > 0.5 * max(
+        len(head.cells) - head.cells.count(""), 1
+    )
 
 
 def _clock_time(

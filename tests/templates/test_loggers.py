@@ -574,8 +574,13 @@ def test_a_workbook_of_several_sheets_asks_which() -> None:
             "Time (s),TC1 (C),TC2 (C)\n0,20,2048\n2,21,2048\n",
             "column TC2: reads 2048 throughout, as a converter in fault",
         ),
+        ("Time (s),TC1 (C)\n0,(5.0)\n2,1.0\n4,2.0\n", "row 2, column TC1: `(5.0)` is no number in the layout"),
         ("Time (s),Temp,Unit\n0,20,C\n2,70,F\n", "row 3, column Unit: `F` is another unit than `C`"),
         ("Time,TC1 (C)\n0 s,20.5\n2 min,21.5\n4 s,22.5\n", "column Time"),
+        (
+            "Time (s),Ch1,Unit,Ch2,Unit\n0,20,C,40,%RH\n2,21,C,40,%RH\n",
+            "column Ch2: `%RH` is not a unit of temperature",
+        ),
     ],
 )
 def test_what_no_layout_fits_is_refused_with_a_cell(text: str, said: str) -> None:
@@ -693,6 +698,18 @@ def rows_of(form: Callable[[int, float], str]) -> str:
         ("Time,TC1 (C)\n", lambda i, T: f"2024:134:10:45:{2 * i:02d}.000,{T:.2f}"),
         ("ms,degC\nTime,TC1\n", lambda i, T: f"{2000 * i},{T:.2f}"),
         ("Time,TC1\nms,degC\nElapsed time,Wall front\n", lambda i, T: f"{2000 * i},{T:.2f}"),
+        ("Fecha y hora;Pared (°C)\n", lambda i, T: f"13/05/2024 10:45:{2 * i:02d} a.\u00a0m.;{T:.2f}"),
+        ("Time,TC1 (C)\n", lambda i, T: f"Mon May 13 10:45:{2 * i:02d} 2024,{T:.2f}"),
+        ("Datum;TC1 (°C)\n", lambda i, T: f"13. Mai 2024 10:45:{2 * i:02d};{T:.2f}"),
+        (
+            "Date,Time,Ch1_Value,Ch1_Unit,Humid_Value,Humid_Unit\n",
+            lambda i, T: f"2024/05/13,10:45:{2 * i:02d},{32.0 + 1.8 * T:.2f},Degree_F,40,%RH",
+        ),
+        ('"Time\n(s)","TC1\n(C)"\n', lambda i, T: f"{2 * i},{T:.2f}"),
+        ("Zeit (s);Kanal 1 °C\n", lambda i, T: f"{2 * i};{T:.2f}".replace(".", ",")),
+        ("Model,DL850\nRate,2\nTime (s),TC1 (C)\n", lambda i, T: f"{2 * i},{T:.2f}"),
+        ("GPS week,TOW (s),TC1 (C)\n", lambda i, T: f"2314,{124050 + 2 * i},{T:.2f}"),
+        ("GMT,TC1 (C)\n", lambda i, T: f"134/10:45:{2 * i:02d}.000,{T:.2f}"),
     ],
     ids=[
         "French",
@@ -710,6 +727,15 @@ def rows_of(form: Callable[[int, float], str]) -> str:
         "day of the year with colons",
         "units above names",
         "remarks below units",
+        "Spanish",
+        "ctime",
+        "German month",
+        "unit behind each reading",
+        "names on two lines",
+        "number of a channel before its unit",
+        "pairs above the names",
+        "GPS time",
+        "day and time with a slash",
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*no unit is stated")
@@ -718,7 +744,8 @@ def test_more_recorders_are_read_as_they_are_written(head: str, form: Callable[[
     measured = read_measured_csv(Path("t.txt"))
     (column,) = measured.of_kind(TEMPERATURE)
     np.testing.assert_allclose(column.si, CHANNEL_K, atol=0.006)
-    np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
+    t = measured.of_kind(TIME)[0].si
+    np.testing.assert_allclose(t - t[0], 2.0 * np.arange(12.0))
 
 
 @pytest.mark.parametrize("first", [739385.5, 2460443.5], ids=["of MATLAB", "Julian"])
@@ -765,6 +792,25 @@ def test_a_tecplot_file_that_is_no_list_of_points_is_refused(
     Path("t.dat").write_text(f'VARIABLES = "Time (s)", "TC1 (C)"\n{zones}')
     with pytest.raises(InputError, match=re.escape(said)):
         read(Path("t.dat"))
+
+
+def test_channels_that_are_named_by_numbers_are_chosen_by_them() -> None:
+    rows("Time (s),101,102", [f"{2 * i},{20 + i},{21 + i}" for i in range(5)])
+    measured = read_measured_csv(Path("t.csv"), temperatures=("101",), temperature_unit="degC")
+    assert measured.of_kind(TEMPERATURE)[0].si[0] == 293.15
+
+
+def test_a_run_of_a_code_in_a_steep_heating_is_left_out() -> None:
+    rows("Time (s),TC1 (C)", [f"{2 * i},{-127 if 3 <= i < 7 else 20 + 0.6 * i**2}" for i in range(12)])
+    column = read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)[0]
+    assert np.flatnonzero(np.isnan(column.si)).tolist() == [3, 4, 5, 6]
+
+
+def test_a_clock_without_a_layout_is_no_matter_beside_a_period() -> None:
+    rows("Timecode,TC1 (C)", [f"10:45:{i:02d}:12,{20 + i}" for i in range(5)])
+    with pytest.raises(InputError, match="may be hh:mm:ss:ms or dd:hh:mm:ss"):
+        read_measured_csv(Path("t.csv"))
+    assert span_s(read_measured_csv(Path("t.csv"), period_s=1.0)) == 4.0
 
 
 def test_a_leap_second_is_asked_and_taken_by_period() -> None:

@@ -136,7 +136,8 @@ def _thousands(block: Block, columns: Sequence[int], decimal: str) -> str:
     """The thousands sign that cells show beside a decimal sign."""
     other = _other_sign(decimal)
     grouped = re.compile(GROUPED.format(re.escape(other)) + rf"(?:{re.escape(decimal)}\d*)?{EXPONENT}")
-    return other if any(other in c and grouped.fullmatch(_bare(c)) for k in columns for c in block.column(k)) else ""
+    written = [block.column(k) for k in columns if other in "".join(block.column(k))]
+    return other if any(other in c and grouped.fullmatch(_bare(c)) for cells in written for c in cells) else ""
 
 
 def _bare(cell: str) -> str:

@@ -49,6 +49,8 @@ NAME_WORDS = r"(?i)time|zeit|date|datum|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$
 """Words by which a row is one of names."""
 COMMENT_SIGNS = ("#", "%")
 """Signs that begin a line of comment, which may hold the names of the columns."""
+HAS_BLANK = re.compile(r"\s").search
+"""Whether a line holds a blank of any kind."""
 TIME_WORDS = r"(?i)time|zeit|date|datum|^t$|^(elapsed )?sec"
 """Words of the name of a time."""
 HEAD_LINES = 50
@@ -90,8 +92,9 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
         return tecplot_block(path, text)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = (SIGN_APART.sub(r"\1\2", text) if "+ " in text or "- " in text else text).split("\n")
-    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;") and not RULE.fullmatch(line)]
-    if FORTRAN.search(text):
+    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;")]
+    numbered = [row for row in numbered[:HEAD_LINES] if not RULE.fullmatch(row[1])] + numbered[HEAD_LINES:]
+    if any(FORTRAN_ROW.fullmatch(line) and FORTRAN.search(line) for _, line in numbered[: 2 * HEAD_LINES]):
         numbered = [(i, FORTRAN.sub("E", line) if FORTRAN_ROW.fullmatch(line) else line) for i, line in numbered]
     numbered = _with_closed_quotes(numbered)
     if numbered and (stated := re.fullmatch(r"sep=(.)\s*", numbered[0][1].strip('"'))):
@@ -138,7 +141,7 @@ def _recorder(lines: Sequence[tuple[int, str]]) -> str:
 
 def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], bool]:
     """Lines of the serial monitor of an Arduino, `10:45:00.512 -> 20.06,20.46`, with a separator for the arrow."""
-    if sum(" -> " in line for _, line in lines) < 0.9 * len(lines):
+    if sum(" -> " in line for _, line in lines[:HEAD_LINES]) < 0.9 * len(lines[:HEAD_LINES]):
         return lines, False
     arrow = re.compile(r"(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> (.*)")
     stamped = [(i, m[1], m[2]) for i, line in lines if (m := arrow.fullmatch(line.strip())) is not None]
@@ -169,14 +172,16 @@ def split_lines(lines: Sequence[tuple[int, str]], sign: str) -> list[Row]:
     """
     texts = [line for _, line in lines]
     if sign == " ":
-        rows = [line.split() for line in texts]
+        rows = [tuple(line.split()) for line in texts]
     elif sign == WIDE:
-        rows = [re.split(r" {2,}|\t+", line.strip()) for line in texts]
+        rows = [tuple(re.split(r" {2,}|\t+", line.strip())) for line in texts]
     else:
-        rows = list(csv.reader(texts, delimiter=sign, skipinitialspace=True))
+        rows = list(map(tuple, csv.reader(texts, delimiter=sign, skipinitialspace=True)))
         if len(rows) != len(texts):  # a quote that is not closed
-            rows = [next(csv.reader([line], delimiter=sign, skipinitialspace=True)) for line in texts]
-    return [(i, tuple(map(str.strip, cells))) for (i, _), cells in zip(lines, rows, strict=True)]
+            rows = [tuple(next(csv.reader([line], delimiter=sign, skipinitialspace=True))) for line in texts]
+    if any(map(HAS_BLANK, texts)):
+        rows = [tuple(map(str.strip, cells)) for cells in rows]
+    return [(i, cells) for (i, _), cells in zip(lines, rows, strict=True)]
 
 
 def _separator(lines: Sequence[tuple[int, str]]) -> str:
@@ -277,7 +282,7 @@ def _body(file: str, split: Sequence[Row], first: int, last: int) -> tuple[list[
             rule = "does not have the cells of the rows above; cut the file there"
             raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
         notes.append(f"rows {line} to {split[-1][0]} behind the data left out (`{_shown(cells)}`)")
-    body = [row for row in split[first : last + 1] if not _is_comment(row[1])]
+    body = [row for row in split[first : last + 1] if row[1][0][:1] not in COMMENT_SIGNS or not _is_comment(row[1])]
     if comments := last + 1 - first - len(body):
         notes.append(f"{comments} lines of comment amid the data left out")
     return body, notes
@@ -289,7 +294,7 @@ def _columns_of_rows(file: str, body: Sequence[Row], width: int) -> list[list[st
     raises : InputError, one line, for a row that has fewer cells, or more that are not empty
     """
     for line, cells in body:
-        if len(cells) < width or any(cells[width:]):
+        if len(cells) != width and (len(cells) < width or any(cells[width:])):
             rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
             raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
     return [[cells[column] for _, cells in body] for column in range(width)]
