@@ -63,7 +63,7 @@ HEADS = (
     (
         TIME,
         r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow)([^a-z]|$)"
-        r"|^t$|^x_value$",
+        r"|(?-i:^t$)|^x_value$",
     ),
     (
         TIME,

@@ -51,6 +51,8 @@ COMMENT_SIGNS = ("#", "%")
 """Signs that begin a line of comment, which may hold the names of the columns."""
 HAS_BLANK = re.compile(r"\s").search
 """Whether a line holds a blank of any kind."""
+OPEN_QUOTE = re.compile(r'(?:^|[,;\t|])\s*"(?:[^"]|"")*$')
+"""A cell that begins with a quote and does not end in the line; another quote may be an inch."""
 TIME_WORDS = r"(?i)time|zeit|date|datum|^t$|^(elapsed )?sec"
 """Words of the name of a time."""
 HEAD_LINES = 50
@@ -125,7 +127,7 @@ def _with_closed_quotes(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
             joined[-1] = (joined[-1][0], f"{joined[-1][1]} {line}")
         else:
             joined.append((i, line))
-        is_open ^= line.count('"') % 2 == 1
+        is_open = line.count('"') % 2 == 0 if is_open else OPEN_QUOTE.search(line) is not None
     return lines if is_open else [*joined, *rest]
 
 
@@ -192,10 +194,11 @@ def _separator(lines: Sequence[tuple[int, str]]) -> str:
     for sign in SEPARATORS:
         if not any(sign in line or (sign == " " and "\t" in line) for _, line in sample):
             continue
-        rows = [cells for _, cells in split_lines(sample, sign)]
-        if sign == WIDE and not any(" " in cell and is_clock(cell) for row in rows[:50] for cell in row):
-            continue
+        split = split_lines(sample, sign)
+        rows = [cells for _, cells in split]
         width, often = max(Counter(len(r) for r in rows).items(), key=lambda item: (item[1], item[0]))
+        if sign == WIDE and not _are_columns_of_dates(split[:HEAD_LINES], width):
+            continue
         if width < 2:
             continue
         wrong = sum(any(_is_torn(c, sign) for c in row) for row in rows)
@@ -203,6 +206,12 @@ def _separator(lines: Sequence[tuple[int, str]]) -> str:
         if agreement > most + 0.05:
             best, most = sign, agreement
     return best
+
+
+def _are_columns_of_dates(rows: Sequence[Row], width: int) -> bool:
+    """Whether cells that wide blanks separate are dates with blanks of their own, below names as many."""
+    has_names = any(len(cells) == width and not _is_data(cells) for _, cells in rows)
+    return has_names and any(" " in cell and is_clock(cell) for _, cells in rows for cell in cells)
 
 
 def _is_torn(cell: str, sign: str) -> bool:
