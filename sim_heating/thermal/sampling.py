@@ -36,7 +36,7 @@ def require_span(bits: int | None, span: Sequence[float] | None, key: str) -> No
 
 
 def word_step(bits: int | None, span: Sequence[float] | None) -> float:
-    """Step of a recorder word in the unit of its span, span / (2^bits - 1); 0 where nothing is rounded.
+    """Step of a recorder word, span / (2^bits - 1), in its unit, such as [K]; 0 where nothing is rounded.
 
     Source: docs/theory/equations.md, equation 34.
     """
