@@ -383,27 +383,6 @@ class RecordFit:
         """
         return self.values(vector).get(PRESSURE_FACTOR.name, self.record.pressure_factor[0])
 
-    def lag_offset(self, vector: FloatArray, *, sensitive: bool = True) -> Sensed | None:
-        """What the lags of the thermocouples add to the plain march, and its derivatives; None where none lags.
-
-        vector    : (parameter,)
-        sensitive : whether with sensitivities to the unknowns of march and start
-        raises    : RunError where the march failed
-
-        Used where a filter predicts the temperature of the place: docs/theory/filter.md, equation 7a.
-        """
-        if not self.lags:
-            return None
-        march = LinearMarch([self.track(vector, sensitive=sensitive)], self.time_s, self.history(self.time_s))
-        plain = march.march(*set_parameters(march, [self], [vector]))[0]
-        lagged, at = self.sensed(plain, vector), np.searchsorted(self.read_s, self.sample_s)
-        return Sensed(
-            lagged.temperature_K - plain.temperature_K[:, at],
-            lagged.rate_K_s - plain.rate_K_s[:, at],
-            lagged.sensitivity - plain.sensitivity[:, at],
-            lagged.per_lag_K_s,
-        )
-
 
 def take_error(record_fit: RecordFit, other: RecordFit) -> None:
     """Give a record the error of another fit's model, with its roots where both have the same readings.

@@ -20,9 +20,10 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.files import Declared, LocatedError, Location
+from sim_heating.base.files import Declared, Location
 from sim_heating.base.parameters import PRESSURE_FACTOR
 from sim_heating.inputs.sensor_model import word_value
+from sim_heating.thermal.sampling import require_span, word_step
 from sim_heating.thermal.stack import Sensor
 
 Normal = tuple[float, float]
@@ -63,16 +64,13 @@ class PressureTransducer(Declared):
 
     @model_validator(mode="after")
     def _check_word(self) -> PressureTransducer:
-        if self.bits is not None and self.range_Pa is None:
-            raise LocatedError((("bits",), f"{self.bits} bits need `range_Pa`, the span that the word covers; add it"))
+        require_span(self.bits, self.range_Pa, "range_Pa")
         return self
 
     @property
     def lsb_Pa(self) -> float:
         """Step of the recorder word [Pa]; 0 where nothing is rounded: docs/theory/equations.md, equation 34."""
-        if self.bits is None or self.range_Pa is None:
-            return 0.0
-        return (self.range_Pa[1] - self.range_Pa[0]) / (2**self.bits - 1)
+        return word_step(self.bits, self.range_Pa)
 
 
 def measure_pressure(transducer: PressureTransducer, pressure_Pa: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, display_path, plain_number, suggestion
+from sim_heating.base.files.csv_table import RUNS_BACK, runs_back
 from sim_heating.base.files.text import and_more_rows
 from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
@@ -38,9 +39,16 @@ from sim_heating.heating.recorded.cells.clocks import (
     over_midnight,
     with_colons,
 )
-from sim_heating.heating.recorded.cells.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
+from sim_heating.heating.recorded.cells.numbers import (
+    Numbers,
+    Signs,
+    number_signs,
+    numbers_of,
+    require_one_unit,
+    shown_cell,
+)
 from sim_heating.heating.recorded.cells.text import decoded, is_clock, is_number, rows_block, text_block
-from sim_heating.templates.loggers.files import json_block, kind_of_file, read_table
+from sim_heating.templates.loggers.files import kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
 from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
 from sim_heating.templates.loggers.readings import OPEN, far_off, fault_codes, lost_codes
@@ -52,7 +60,11 @@ TIME, TEMPERATURE, FLUX, UNUSED = "time", "temperature", "heat flux", "not used"
 SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
-    (TIME, r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum)([^a-z]|$)|^t$|^x_value$"),
+    (
+        TIME,
+        r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow)([^a-z]|$)"
+        r"|(?-i:^t$)|^x_value$",
+    ),
     (
         TIME,
         r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sek.*"
@@ -312,8 +324,6 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
     kind = kind_of_file(path)
     if not kind:
         text = decoded(path)
-        if re.match(r"\s*(\{|\[\s*\{)", text):
-            return json_block(path, text)
         return lvm_block(path, text, chosen.sheet) if is_lvm(text) else text_block(path, text, chosen.separator)
     table = read_table(path, kind, chosen.sheet)
     if isinstance(table, Block):
@@ -325,24 +335,34 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
 
 
 def _with_unit_column(block: Block) -> Block:
-    """A table whose unit stands in a column of its own as one with units of its columns.
+    """A table whose units stand in a column of their own, or in one behind each reading, as one with units of its
+    columns.
 
-    raises : InputError where that column holds several units
+    raises : InputError where such a column holds several units
     """
-    called = [k for k, n in enumerate(block.names) if re.fullmatch(r"(?i)(temp\w*[ _])?units?|einheit", n.strip())]
-    if not called:
-        return block
-    k = called[0]
-    units = sorted({c for c in block.column(k) if c})
+    called = [k for k, n in enumerate(block.names) if re.fullmatch(r"(?i)(.*[ _])?units?|einheit", n.strip())]
+    stated = list(block.units)
+    for k in called:
+        unit = _unit_in_cells(block, k)
+        if len(called) > 1:
+            stated[k - 1] = stated[k - 1] or unit
+        elif converted(unit, "K"):
+            stated = [other or (unit if _lacks_unit(n) else "") for other, n in zip(stated, block.names, strict=True)]
+    return replace(block, units=tuple(stated))
+
+
+def _unit_in_cells(block: Block, k: int) -> str:
+    """The unit that all cells of a column are; empty where they are none, or several of which none is a temperature.
+
+    raises : InputError where they are several
+    """
+    units = list(dict.fromkeys(c for c in block.column(k) if c))
     if len(units) > 1 and any(converted(u, "K") for u in units):
-        i = next(i for i, c in enumerate(block.column(k)) if c and c != block.column(k)[0])
+        i = block.column(k).index(units[1])
         raise InputError(
             f"{block.at(i, block.names[k])}: `{units[1]}` is another unit than `{units[0]}`; write one unit"
         )
-    if len(units) != 1 or converted(units[0], "K") is None:
-        return block
-    stated = zip(block.names, block.units, strict=True)
-    return replace(block, units=tuple(unit or (units[0] if _lacks_unit(name) else "") for name, unit in stated))
+    return units[0] if len(units) == 1 else ""
 
 
 def _lacks_unit(name: str) -> bool:
@@ -430,7 +450,8 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     """Names, units and cells of the columns, by one layout of numbers for the file."""
     names, stated = _names_and_units(block)
     if chosen.time_unit == "hhmmss":
-        as_clock = [with_colons(c) if re.search(HEADS[0][1], n) else c for n, c in zip(names, block.cells, strict=True)]
+        times = {n for n in names if re.search(HEADS[0][1], n)} | {chosen.time}
+        as_clock = [with_colons(c) if n in times else c for n, c in zip(names, block.cells, strict=True)]
         block = replace(block, cells=tuple(as_clock))
     clocks = {k for k in range(len(names)) if _mostly(block.column(k), is_clock)}
     signs = number_signs(block, sorted({*range(len(names))} - clocks), chosen.decimal)
@@ -440,23 +461,9 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
         may_be_clock = k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))
         clock = _clock_of_column(block, k, names, unit, chosen) if may_be_clock else None
         head = _Head(name, unit, numbers_of(cells, signs), clock, cells)
-        _require_one_unit(block, head)
+        require_one_unit(block, k, head.numbers, unit, list(SI_UNITS.values()))
         heads.append(head)
     return heads, signs
-
-
-def _require_one_unit(block: Block, head: _Head) -> None:
-    """Refuse a column whose name states another unit than its cells.
-
-    raises : InputError with the first such cell
-    """
-    named = {si: converted(head.stated, si) for si in SI_UNITS.values()}
-    if not head.numbers.unit or not any(named.values()):
-        return  # `Avg` is no unit
-    if named != {si: converted(head.numbers.unit, si) for si in SI_UNITS.values()}:
-        i = next(i for i, c in enumerate(head.cells) if c)
-        rule = f"has another unit than the name of the column, `{head.stated}`; write one unit"
-        raise InputError(f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` {rule}")
 
 
 def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
@@ -483,6 +490,8 @@ def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chos
     raises : InputError where its layout is not clear, and it is the time
     """
     name, its_names = names[k], (names[k], block.names[k])
+    if chosen.period_s is not None:
+        return None
     if chosen.time is not None and chosen.time not in its_names and not _is_partner(name):
         return None
     try:
@@ -592,7 +601,7 @@ def _kind_by_name(name: str) -> str:
 def _reason_of_few_numbers(head: _Head) -> str:
     """Why a column is not read, where most of its cells hold no number; empty for others, and for a time."""
     count = int(np.count_nonzero(np.isfinite(head.numbers.values)))
-    full = sum(bool(c) for c in head.cells)
+    full = len(head.cells) - head.cells.count("")
     named = {kind for kind, pattern in HEADS if re.search(pattern, head.name)}
     if (count and 2 * count >= full) or TIME in named or (named and head.numbers.torn >= 0):
         return ""
@@ -766,7 +775,9 @@ def _is_read(head: _Head) -> bool:
     """Whether most cells of a column called time are numbers, or a clock in a layout that is read."""
     if head.clock is not None:
         return True
-    return int(np.count_nonzero(np.isfinite(head.numbers.values))) > 0.5 * max(sum(bool(c) for c in head.cells), 1)
+    return int(np.count_nonzero(np.isfinite(head.numbers.values))) > 0.5 * max(
+        len(head.cells) - head.cells.count(""), 1
+    )
 
 
 def _clock_time(
@@ -883,9 +894,10 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
     if _are_days(values) and step < 0.05:
         return "day", "", f"{column.reason}; days of a spreadsheet by the size"
     if not SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
+        likely = "ms" if step > LONGEST_STEP_S else "day" if values.min() >= DAY_NUMBERS[0] else "s"
         raise InputError(
             f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are hardly s; "
-            f"state it, --time-unit {'ms' if step > LONGEST_STEP_S else 's'}"
+            f"state it, --time-unit {likely}"
         )
     return "s", "no unit is stated: s assumed (--time-unit)", f"{column.reason}; no unit: s assumed"
 
@@ -913,15 +925,16 @@ def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
 def _with_the_newest_last(measured: MeasuredCsv) -> MeasuredCsv:
     """A file that begins with its newest row as one in the order of time, with a note; another one as it is."""
     clock = measured.of_kind(TIME)[0]
-    if len(clock.values) < 3 or not np.all(np.diff(clock.values) < 0.0):
+    if not runs_back(clock.values):
         return measured
     counted_s = float(clock.values[-1]) if "counted from the first" in clock.reason else 0.0
     columns = tuple(
         replace(c, values=c.values[::-1] - counted_s if c is clock else c.values[::-1]) for c in measured.columns
     )
     zero_s = None if measured.zero_s is None else measured.zero_s + counted_s
-    notes = (*measured.notes, "the rows run back in time: read from the last")
-    return replace(measured, columns=columns, rows=measured.rows[::-1], zero_s=zero_s, notes=notes)
+    return replace(
+        measured, columns=columns, rows=measured.rows[::-1], zero_s=zero_s, notes=(*measured.notes, RUNS_BACK)
+    )
 
 
 def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> MeasuredCsv:

@@ -1,10 +1,10 @@
-"""Sample rates of a recorder: constant, changing at stated times, or higher while a manoeuvre is flown.
+"""How a recorder samples: its rate, constant, changing at stated times, or higher in manoeuvres, and its word.
 
 A rate r(t) that changes leaves the count of samples as it is: sample k is at the time t_k at which
 
     integral from t_0 to t_k of r dt = k,
 
-so that no instant is sampled twice where a rate begins. Source: docs/theory/equations.md, equation 33a.
+so that no instant is sampled twice where a rate begins. Source: docs/theory/equations.md, equations 33a and 34.
 """
 
 from __future__ import annotations
@@ -23,6 +23,24 @@ FASTEST_HZ = 1000.0
 USUAL_HZ = 1.0
 """Sample rate of a recorder that states none [Hz]."""
 RATE_TEXT = "samples a second; [[time_s, rate], ...], each from its time on; or a table, higher in manoeuvres"
+
+
+def require_span(bits: int | None, span: Sequence[float] | None, key: str) -> None:
+    """Refuse a recorder word without the span that it covers.
+
+    key    : of the span, such as `range_K`
+    raises : LocatedError at `bits`
+    """
+    if bits is not None and span is None:
+        raise LocatedError((("bits",), f"{bits} bits need `{key}`, the span that the word covers; add it"))
+
+
+def word_step(bits: int | None, span: Sequence[float] | None) -> float:
+    """Step of a recorder word, span / (2^bits - 1), in its unit, such as [K]; 0 where nothing is rounded.
+
+    Source: docs/theory/equations.md, equation 34.
+    """
+    return 0.0 if bits is None or span is None else (span[1] - span[0]) / (2**bits - 1)
 
 
 class RateInManoeuvres(Declared):

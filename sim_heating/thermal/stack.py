@@ -23,7 +23,7 @@ from sim_heating.base.errors import tell
 from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule, check, suggestion
 from sim_heating.base.files.toml import remarks_of
 from sim_heating.base.limits import HOTTEST_K, QUANTITIES, usual_remark
-from sim_heating.thermal.sampling import RATE_TEXT, SampleRate
+from sim_heating.thermal.sampling import RATE_TEXT, SampleRate, require_span, word_step
 
 Table = list[list[float]]
 """[[T_K, value], ...]"""
@@ -605,8 +605,7 @@ class Sensor(Declared):
 
     @model_validator(mode="after")
     def _check(self) -> Sensor:
-        if self.bits is not None and self.range_K is None:
-            raise LocatedError((("bits",), f"{self.bits} bits need `range_K`, the span that the word covers; add it"))
+        require_span(self.bits, self.range_K, "range_K")
         if self.noise_per_K and self.noise_sigma_K is None:
             rule = "grows from `noise_sigma_K`, which is not declared; add it (0 where all of the noise grows)"
             raise LocatedError((("noise_per_K",), rule))
@@ -618,9 +617,7 @@ class Sensor(Declared):
 
         Source: docs/theory/equations.md, section 5.
         """
-        if self.bits is None or self.range_K is None:
-            return 0.0
-        return (self.range_K[1] - self.range_K[0]) / (2**self.bits - 1)
+        return word_step(self.bits, self.range_K)
 
     def growing_noise_K(self, indicated_K: FloatArray) -> FloatArray:
         """(sample,) standard deviation of the random part that grows with the indicated temperature [K].

@@ -23,7 +23,7 @@ from sim_heating.heating.recorded.derive import AIR, derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import states_columns
 from sim_heating.heating.recorded.plausible import implausible_values, unusual_values, with_density
-from sim_heating.heating.recorded.reading import TABLE, FlightTable, Statement, read_flight
+from sim_heating.heating.recorded.reading import TABLE, FlightTable, Statement, newest_last, read_flight
 from sim_heating.heating.recorded.sounding import Sounding
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
 from sim_heating.trajectory.spec import TrajectorySpec
@@ -116,7 +116,7 @@ def read_recording(
     required = [*REQUIRED, *(name for name in SURFACES if name in surfaces)]
     if not fields and sounding is None and states_columns(path, required, (DENSITY,)):
         spared = [name for name in SURFACES if name not in surfaces]
-        return FlightTable(with_density(read_csv_columns(path, required, [*OPTIONAL, *spared])))
+        return newest_last(FlightTable(with_density(read_csv_columns(path, required, [*OPTIONAL, *spared]))))
     air = ("rho_kg_m3",) if sounding is None else AIR
     return read_flight(
         path, [*required, *air], statement=statement, fields=fields, length_m=length_m, sounding=sounding

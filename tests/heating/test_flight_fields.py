@@ -152,6 +152,79 @@ def test_lines_of_json_are_read(tmp_path):
     assert "not used: `stage`" in flight.notes
 
 
+@pytest.mark.parametrize("stamp", ["{t}", "2024-05-13 10:45:{t:02d}"])
+def test_rows_from_the_newest_to_the_first_are_read_from_the_last(tmp_path, stamp):
+    samples = [(stamp.format(t=t), 90.0 - t) for t in range(9, -1, -1)]
+    head = "Time (s)" if stamp == "{t}" else "Date"
+    (tmp_path / "f.csv").write_text(f"{head},alt_km,velocity_m_s\n" + "".join(f"{t},{z},1400\n" for t, z in samples))
+    flight = read_flight(tmp_path / "f.csv", COLUMNS)
+    assert flight.table["time_s"] == pytest.approx(np.arange(10.0))
+    assert flight.table["altitude_m"] == pytest.approx(90e3 - 1e3 * np.arange(10.0))
+    assert flight.table.lines[0] == 11
+    assert "the rows run back in time: read from the last" in flight.notes
+
+
+def test_a_clock_that_is_stated_to_be_the_time_is_read(tmp_path):
+    """Two columns of clocks, and no field that is called time."""
+    rows = "".join(f"13 May 2024 10:45:0{t}.000,2024-05-13 12:45:0{t},90,1400\n" for t in range(9))
+    (tmp_path / "f.csv").write_text("Sat.UTCGregorian,local,alt_km,velocity_m_s\n" + rows)
+    with pytest.raises(InputError, match="--field time_s=NAME"):
+        read_flight(tmp_path / "f.csv", COLUMNS, statement=OPTION)
+    flight = read_flight(tmp_path / "f.csv", COLUMNS, fields={"time_s": "Sat.UTCGregorian"})
+    assert flight.table["time_s"] == pytest.approx(np.arange(9.0))
+
+
+@pytest.mark.parametrize(
+    ("head", "row"),
+    [
+        (
+            "Sat.UTCGregorian              Sat.Altitude (km)  Sat.Speed (km/s)",
+            "13 May 2024 10:45:{t:02.0f}.000    {z}    1.4",
+        ),
+        ("Time (UTCG),Alt (KM),Speed (KM/SEC)", "13 May 2024 10:45:{t:02.0f}.000,{z},1.4"),
+        ("TIME (SEC),ALT (KM),VEL (FT/SEC)", "{t},{z},4593.1758530"),
+        ('"Time\n(s)","Altitude\n(km)","Speed\n(m/s)"', "{t},{z},1400"),
+        ("min,km,m/s\nTime,Altitude,Velocity", "{m:.9f},{z},1400"),
+        ('VARIABLES = "Time (s)", "Altitude (km)"\n"Speed (m/s)"\nZONE I=9, DATAPACKING=POINT', "{t} {z} 1400.0"),
+        ("GMT,Alt (km),V (m/s)", "134:10:45:{t:02.0f}.000,{z},1400"),
+    ],
+    ids=["wide blanks", "UTCG", "capitals", "names on two lines", "units above", "Tecplot", "day of the year"],
+)
+def test_a_simulator_s_list_is_read(tmp_path, head, row):
+    (tmp_path / "f.txt").write_text(
+        head + "\n" + "".join(row.format(t=float(t), m=t / 60.0, z=90.0 - t) + "\n" for t in range(9))
+    )
+    fields = {"altitude_m": "Sat.Altitude (km)", "velocity_m_s": "Sat.Speed (km/s)"} if "Sat" in head else {}
+    table = read_flight(tmp_path / "f.txt", COLUMNS, fields=fields).table
+    assert table["time_s"] == pytest.approx(np.arange(9.0), abs=1e-6)
+    assert table["altitude_m"] == pytest.approx(90e3 - 1e3 * np.arange(9.0))
+    assert table["velocity_m_s"] == pytest.approx(np.full(9, 1400.0))
+
+
+def test_a_date_in_days_is_counted_from_the_first_row(tmp_path):
+    rows = "".join(f"{30443.947916667 + t / 86400.0:.10f},{90 - t},1400\n" for t in range(9))
+    (tmp_path / "f.csv").write_text("A1ModJulian,alt_km,velocity_m_s\n" + rows)
+    flight = read_flight(
+        tmp_path / "f.csv", COLUMNS, fields={"time_s": ConditionField(field="A1ModJulian", unit="day")}
+    )
+    assert flight.table["time_s"] == pytest.approx(np.arange(9.0), abs=1e-4)
+    assert "`A1ModJulian` is a date: counted from the earliest row" in flight.assumed
+
+
+@pytest.mark.parametrize("name", ["rho x 1e6 (kg/m3)", "rho_kg_m3*1e6", "rho (1e-6 kg/m3)"])
+def test_a_density_with_a_factor_is_asked_and_not_replaced(tmp_path, name):
+    (tmp_path / "f.csv").write_text(f"time_s,alt_km,velocity_m_s,{name}\n0,60,100,300\n1,60,100,300\n2,60,100,300\n")
+    with pytest.raises(InputError, match=r"rho_kg_m3=rho.*:UNIT"):
+        read_flight(tmp_path / "f.csv", COLUMNS, statement=OPTION)
+    stated = {"rho_kg_m3": ConditionField(field=name, unit="mg/m3")}
+    assert read_flight(tmp_path / "f.csv", COLUMNS, fields=stated).table["rho_kg_m3"] == pytest.approx([3e-4] * 3)
+
+
+def test_nm_is_asked_for_in_a_flight():
+    assert field_of_name("Alt (nm)").unit is None
+    assert field_of_name("Alt (nmi)").convert.factor == pytest.approx(1852.0)
+
+
 def test_names_of_a_trajectory_library_are_read(tmp_path):
     """The heads that RocketPy writes."""
     head = "# Time (s), Altitude ASL (m), Freestream Speed (m/s), Mach Number, Angle of Attack (°), Pressure (Pa)"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sim_heating.base.conditions import Conditions
+from sim_heating.estimation.inference.observability import fitted_rows
 from sim_heating.inputs.averaged_record import LARGE, averaged_record
 from sim_heating.inputs.record import Record, Segments, load_record
 from tests.support.paths import RECORDS
@@ -92,3 +93,9 @@ def test_conditions_keep_their_jumps():
     assert flown.time_s[[0, -1]] == pytest.approx(TIMES[[0, -1]])
     back = np.interp(TIMES, flown.time_s, flown["velocity_m_s"])
     assert back == pytest.approx(columns["velocity_m_s"], abs=2e-3 * np.ptp(columns["velocity_m_s"]))
+
+
+def test_two_rows_of_conditions_about_the_means_are_those_of_the_fit():
+    """The first mean is later than the first row, and the last one earlier than the last row."""
+    record = averaged_record(dense(smooth()))[0]
+    assert fitted_rows(replace(record, conditions=record.conditions.at(TIMES[[0, -1]]))).all()

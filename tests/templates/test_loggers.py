@@ -18,6 +18,7 @@ from benchmarks.layouts import GOAL_READ, outcomes, share_read
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from sim_heating.cli.path_check import descriptions
+from sim_heating.heating.recorded.layout import read_fields
 from sim_heating.inputs.record import load_record
 from sim_heating.templates.loggers.layout_file import read_layout, write_layout
 from sim_heating.templates.loggers.readings import far_off
@@ -573,8 +574,13 @@ def test_a_workbook_of_several_sheets_asks_which() -> None:
             "Time (s),TC1 (C),TC2 (C)\n0,20,2048\n2,21,2048\n",
             "column TC2: reads 2048 throughout, as a converter in fault",
         ),
+        ("Time (s),TC1 (C)\n0,(5.0)\n2,1.0\n4,2.0\n", "row 2, column TC1: `(5.0)` is no number in the layout"),
         ("Time (s),Temp,Unit\n0,20,C\n2,70,F\n", "row 3, column Unit: `F` is another unit than `C`"),
         ("Time,TC1 (C)\n0 s,20.5\n2 min,21.5\n4 s,22.5\n", "column Time"),
+        (
+            "Time (s),Ch1,Unit,Ch2,Unit\n0,20,C,40,%RH\n2,21,C,40,%RH\n",
+            "column Ch2: `%RH` is not a unit of temperature",
+        ),
     ],
 )
 def test_what_no_layout_fits_is_refused_with_a_cell(text: str, said: str) -> None:
@@ -682,6 +688,29 @@ def rows_of(form: Callable[[int, float], str]) -> str:
             '"Model","GX10"\n\n"Ch.","","","CH1"\n"Tag","","","wall"\n"Unit","","","°C"\n"Date","Time","ms",""\n',
             lambda i, T: f"2024/05/13,10:45:{2 * i:02d},000,{T:.2f}",
         ),
+        ('TITLE = "rig"\nVARIABLES = "Time [s]"\n"TC1 [C]"\nZONE I=12, F=POINT\n', lambda i, T: f" {2 * i} {T:.4E}"),
+        ("Time(s) TC1(C)\n", lambda i, T: f" {2 * i / 10:.4f}D+01 {T / 100:.6f}D+02"),
+        (
+            "Time,TC1 (C)\n",
+            lambda i, T: (
+                f"2024-366T23:59:{40 + 2 * i}Z,{T:.2f}" if i < 10 else f"2025-001T00:00:{2 * i - 20:02d}Z,{T:.2f}"
+            ),
+        ),
+        ("Time,TC1 (C)\n", lambda i, T: f"2024:134:10:45:{2 * i:02d}.000,{T:.2f}"),
+        ("ms,degC\nTime,TC1\n", lambda i, T: f"{2000 * i},{T:.2f}"),
+        ("Time,TC1\nms,degC\nElapsed time,Wall front\n", lambda i, T: f"{2000 * i},{T:.2f}"),
+        ("Fecha y hora;Pared (°C)\n", lambda i, T: f"13/05/2024 10:45:{2 * i:02d} a.\u00a0m.;{T:.2f}"),
+        ("Time,TC1 (C)\n", lambda i, T: f"Mon May 13 10:45:{2 * i:02d} 2024,{T:.2f}"),
+        ("Datum;TC1 (°C)\n", lambda i, T: f"13. Mai 2024 10:45:{2 * i:02d};{T:.2f}"),
+        (
+            "Date,Time,Ch1_Value,Ch1_Unit,Humid_Value,Humid_Unit\n",
+            lambda i, T: f"2024/05/13,10:45:{2 * i:02d},{32.0 + 1.8 * T:.2f},Degree_F,40,%RH",
+        ),
+        ('"Time\n(s)","TC1\n(C)"\n', lambda i, T: f"{2 * i},{T:.2f}"),
+        ("Zeit (s);Kanal 1 °C\n", lambda i, T: f"{2 * i};{T:.2f}".replace(".", ",")),
+        ("Model,DL850\nRate,2\nTime (s),TC1 (C)\n", lambda i, T: f"{2 * i},{T:.2f}"),
+        ("GPS week,TOW (s),TC1 (C)\n", lambda i, T: f"2314,{124050 + 2 * i},{T:.2f}"),
+        ("GMT,TC1 (C)\n", lambda i, T: f"134/10:45:{2 * i:02d}.000,{T:.2f}"),
     ],
     ids=[
         "French",
@@ -693,6 +722,21 @@ def rows_of(form: Callable[[int, float], str]) -> str:
         "JSON lines",
         "JSON list",
         "Yokogawa",
+        "Tecplot",
+        "Fortran",
+        "day of the year",
+        "day of the year with colons",
+        "units above names",
+        "remarks below units",
+        "Spanish",
+        "ctime",
+        "German month",
+        "unit behind each reading",
+        "names on two lines",
+        "number of a channel before its unit",
+        "pairs above the names",
+        "GPS time",
+        "day and time with a slash",
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*no unit is stated")
@@ -701,7 +745,8 @@ def test_more_recorders_are_read_as_they_are_written(head: str, form: Callable[[
     measured = read_measured_csv(Path("t.txt"))
     (column,) = measured.of_kind(TEMPERATURE)
     np.testing.assert_allclose(column.si, CHANNEL_K, atol=0.006)
-    np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
+    t = measured.of_kind(TIME)[0].si
+    np.testing.assert_allclose(t - t[0], 2.0 * np.arange(12.0))
 
 
 @pytest.mark.parametrize("first", [739385.5, 2460443.5], ids=["of MATLAB", "Julian"])
@@ -718,6 +763,65 @@ def test_a_row_of_json_lines_that_is_no_object_is_named() -> None:
         read_measured_csv(Path("t.jsonl"))
 
 
+def test_columns_of_json_are_read() -> None:
+    Path("t.json").write_text(json.dumps({"time_s": list(range(12)), "TC1_K": CHANNEL_K.tolist()}))
+    np.testing.assert_allclose(read_measured_csv(Path("t.json")).of_kind(TEMPERATURE)[0].si, CHANNEL_K)
+
+
+@pytest.mark.parametrize("read", [read_measured_csv, read_fields])
+def test_a_damaged_line_of_json_is_named(read: Callable[[Path], object]) -> None:
+    for text in ('{"time_s": 0, "T_K": 293}\n{"time_s": 1,\n', '[{"time_s": 0, "T_K": 293},\n{"time_s": 1,,}]'):
+        Path("t.json").write_text(text)
+        with pytest.raises(InputError, match=r"^t.json, row 2: is not JSON"):
+            read(Path("t.json"))
+
+
+@pytest.mark.parametrize("read", [read_measured_csv, read_fields])
+@pytest.mark.parametrize(
+    ("zones", "said"),
+    [
+        (
+            "ZONE I=3, F=BLOCK\n0 1 2\n20 21 22\n",
+            "row 3: `0 1 2` is not one number for each of 2 variables; export one",
+        ),
+        ("ZONE I=2\n0 20\n1 21\nZONE I=2\n0 20\n1 21\n", "row 5: `ZONE I=2` is not one number for each of 2"),
+    ],
+)
+def test_a_tecplot_file_that_is_no_list_of_points_is_refused(
+    read: Callable[[Path], object], zones: str, said: str
+) -> None:
+    Path("t.dat").write_text(f'VARIABLES = "Time (s)", "TC1 (C)"\n{zones}')
+    with pytest.raises(InputError, match=re.escape(said)):
+        read(Path("t.dat"))
+
+
+def test_channels_that_are_named_by_numbers_are_chosen_by_them() -> None:
+    rows("Time (s),101,102", [f"{2 * i},{20 + i},{21 + i}" for i in range(5)])
+    measured = read_measured_csv(Path("t.csv"), temperatures=("101",), temperature_unit="degC")
+    assert measured.of_kind(TEMPERATURE)[0].si[0] == 293.15
+
+
+def test_a_run_of_a_code_in_a_steep_heating_is_left_out() -> None:
+    rows("Time (s),TC1 (C)", [f"{2 * i},{-127 if 3 <= i < 7 else 20 + 0.6 * i**2}" for i in range(12)])
+    column = read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)[0]
+    assert np.flatnonzero(np.isnan(column.si)).tolist() == [3, 4, 5, 6]
+
+
+def test_a_clock_without_a_layout_is_no_matter_beside_a_period() -> None:
+    rows("Timecode,TC1 (C)", [f"10:45:{i:02d}:12,{20 + i}" for i in range(5)])
+    with pytest.raises(InputError, match="may be hh:mm:ss:ms or dd:hh:mm:ss"):
+        read_measured_csv(Path("t.csv"))
+    assert span_s(read_measured_csv(Path("t.csv"), period_s=1.0)) == 4.0
+
+
+def test_a_leap_second_is_asked_and_taken_by_period() -> None:
+    stamps = ("2016-12-31T23:59:58Z", "2016-12-31T23:59:60Z", "2017-01-01T00:00:01Z")
+    rows("Time,TC1 (C)", [f"{stamp},{20 + k}" for k, stamp in enumerate(stamps)])
+    with pytest.raises(InputError, match=r"`2016-12-31T23:59:60Z` may be a leap second or midnight"):
+        read_measured_csv(Path("t.csv"))
+    assert span_s(read_measured_csv(Path("t.csv"), period_s=2.0)) == 4.0
+
+
 def test_rows_from_the_newest_to_the_first_are_read_from_the_last() -> None:
     rows = rows_of(lambda i, T: f"2024-05-13 10:45:{2 * i:02d},{T:.2f}").splitlines()
     Path("t.csv").write_text("Date,TC1 (C)\n" + "\n".join(reversed(rows)))
@@ -732,9 +836,21 @@ def test_rows_from_the_newest_to_the_first_are_read_from_the_last() -> None:
 @pytest.mark.parametrize(
     ("head", "row", "said"),
     [
-        ("Time (s),TC1 (C)", "{t},{y:.1f} °F", "row 2, column TC1: `20.0 °F` has another unit than the name"),
-        ("Time (s),TC1 (C)", "{t},{y:.1f}%", "row 2, column TC1: `20.0%` has another unit than the name"),
-        ("Time (s),TC1 (C)", "{t} ms,{y:.1f}", "row 2, column Time: `0 ms` has another unit than the name"),
+        (
+            "Time (s),TC1 (C)",
+            "{t},{y:.1f} °F",
+            "row 2, column TC1 (C): `20.0 °F` has another unit than the column states, `C`",
+        ),
+        (
+            "Time (s),TC1 (C)",
+            "{t},{y:.1f}%",
+            "row 2, column TC1 (C): `20.0%` has another unit than the column states, `C`",
+        ),
+        (
+            "Time (s),TC1 (C)",
+            "{t} ms,{y:.1f}",
+            "row 2, column Time (s): `0 ms` has another unit than the column states, `s`",
+        ),
     ],
 )
 def test_cells_in_another_unit_than_their_column_states_are_refused(head: str, row: str, said: str) -> None:

@@ -409,7 +409,7 @@ def test_a_recording_without_density_has_that_of_the_standard_air_and_tells(nomi
 @pytest.mark.parametrize(
     ("damage", "expected"),
     [
-        (lambda c: c.update(time_s=c["time_s"][::-1]), "row 3, column time_s"),
+        (lambda c: c.update(time_s=np.roll(c["time_s"], 1)), "row 3, column time_s"),
         (lambda c: c.update(altitude_m=c["altitude_m"] * 3.2808), "row 2, column altitude_m"),
         (lambda c: c.update(rho_kg_m3=-c["rho_kg_m3"]), "is not a density"),
         (lambda c: c.update(T_inf_K=c["rho_kg_m3"] * 0.0 - 50.0), "Celsius"),
@@ -422,6 +422,13 @@ def test_a_damaged_recording_is_refused_with_file_row_and_column(nominal, tmp_pa
     with pytest.raises(InputError, match=r"c\.csv") as refused:
         recorded_flight(tmp_path / "c.csv")
     assert expected in refused.value.problems[0]
+
+
+def test_a_recording_from_the_newest_row_to_the_first_is_read_and_told(nominal, tmp_path):
+    write_columns(tmp_path / "c.csv", {n: nominal.conditions[n][:50][::-1] for n in RECORDED})
+    with pytest.warns(UserWarning, match=r"c\.csv: the rows run back in time: read from the last"):
+        back = recorded_flight(tmp_path / "c.csv").conditions
+    assert (back["altitude_m"] == nominal.conditions["altitude_m"][:50]).all()
 
 
 def test_a_flight_into_the_ground_is_an_error() -> None:

@@ -31,6 +31,7 @@ from sim_heating.base.files.text import (
 
 COLDEST_K = 100.0
 """A lower temperature is taken for a value in Celsius [K]."""
+RUNS_BACK = "the rows run back in time: read from the last"
 LARGE_TEXT = 3_000_000
 """Characters from which a text is read as a whole, and cell by cell only where that fails."""
 NUMBERS = "fiub"
@@ -89,6 +90,11 @@ class CsvTable:
     def celsius_problems(self, column: str) -> list[str]:
         """Problems of a temperature column [K]: values below 100 K are taken for Celsius. NaN is accepted."""
         return self.problems_where_not(column, ~(self.columns[column] < COLDEST_K), celsius_rule())
+
+
+def runs_back(time_s: FloatArray) -> bool:
+    """Whether times [s], three at least, go back from row to row, as where the newest row is the first."""
+    return len(time_s) > 2 and bool(np.all(np.diff(time_s) < 0.0))
 
 
 def celsius_rule() -> str:

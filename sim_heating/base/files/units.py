@@ -34,6 +34,7 @@ WORDS = {
     "microseconds": "us", "btu": "BTU", "btus": "BTU", "fps": "ft/s", "kts": "knot", "psf": "lbf/ft**2",
     "pcf": "lb/ft**3", "slugs": "slug", "feet": "ft", "meters": "m", "metres": "m", "watt": "W", "watts": "W",
     "psi": "psi", "psia": "psi", "gm": "g", "lbm": "lb", "volt": "V", "volts": "V",
+    "ft": "ft", "km": "km", "slug": "slug", "deg": "deg", "rad": "rad",
     "sek": "s", "sekunden": "s", "minuten": "min", "stunden": "h",
 }  # fmt: skip
 """Words in small letters -> the name that pint knows, whatever the letters are in the file."""
@@ -61,8 +62,8 @@ SLASHED = r"(.*\S)\s*/\s*(\S+)"
 LONGEST = 100
 """Most characters of a unit; matching a text of 100,000 letters takes minutes."""
 POWER = r"(?:(?:\*\*|\^)?[+-]?[0-9]{1,2}|(?:\*\*|\^)\([+-]?[0-9]{1,2}\))(?!\w|\.[0-9])"
-UNIT_SYNTAX = re.compile(rf"(?:(?:[^\W\d]|[°%])++(?:{POWER})?|\)(?:{POWER})?|(?<![\w.])1(?![\w.])|[ .*/(])+")
-"""Names with powers of at most two digits, parentheses, products, quotients, and 1: the only texts passed to pint."""
+UNIT_SYNTAX = re.compile(rf"(?:(?:[^\W\d]|[°%])++(?:{POWER})?|\)(?:{POWER})?|(?<![\w.])1(?= */)|[ .*/(])+")
+"""Names with powers of at most two digits, parentheses, products, quotients, 1 over one: all that pint is given."""
 AMBIGUOUS = re.compile(r"/ *[^()/ .*]+ *[.*] *[^ /]")
 """A product after a quotient, `1/s.m`, which may belong to the numerator or the denominator."""
 

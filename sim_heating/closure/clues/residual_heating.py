@@ -23,7 +23,7 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import write_csv
 from sim_heating.estimation.filter.heating_input import UnknownInput, unknown_input
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack
-from sim_heating.estimation.filter.records import filter_samples
+from sim_heating.estimation.filter.records import filter_samples, lag_offset
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import FittedChannel, RecordFit
 from sim_heating.inputs.record import Record
@@ -184,7 +184,7 @@ def residual_heating(
         record_fit.sigma_K,
         record_fit.values(values),
         record_fit.correction_K,
-        lag=record_fit.lag_offset(values, sensitive=False),
+        lag=lag_offset(record_fit, values, sensitive=False),
     )
     track = FilterTrack(record_fit.model_at(values), record_fit.mesh, samples, (), record_fit.initial_K(values))
     flown, flux = _with_reference_flux(record_fit.conditions.at(record_fit.time_s))

@@ -33,7 +33,7 @@ from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parallel.threads import in_threads
 from sim_heating.estimation.filter.march import Filtered, FilterMarch, FilterTrack
 from sim_heating.estimation.filter.process_noise import CORRELATION, Level, Levels, ProcessNoise
-from sim_heating.estimation.filter.records import filter_samples
+from sim_heating.estimation.filter.records import filter_samples, lag_offset
 from sim_heating.estimation.inference.identifiability import scale
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, StepCallback, maximise
@@ -283,7 +283,7 @@ class Innovations:
             values,
             record_fit.correction_K,
             record_fit.names if sensitive else (),
-            record_fit.lag_offset(vector, sensitive=sensitive),
+            lag_offset(record_fit, vector, sensitive=sensitive),
         )
         start, noise = record_fit.start, levels.noise
         columns = np.zeros((record_fit.mesh.nodes, len(record_fit.names) - len(record_fit.march_names)))

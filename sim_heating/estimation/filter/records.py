@@ -25,10 +25,12 @@ from sim_heating.estimation.record_fit import (
     march_times,
     sensor_errors,
     sensor_parameter,
+    set_parameters,
 )
 from sim_heating.inputs.points import conditions_of_record, flow_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.ensemble import condition_history
+from sim_heating.march.linearised import LinearMarch
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import Sensor
@@ -81,7 +83,7 @@ def filter_samples(
     values   : parameters of clock and sensors (bias, gain, drift)
     added_K  : (sensor, sample) correction on top of the march [K], 0 by default
     names    : parameters of the filter, of which clock and sensors act on the readings themselves
-    lag      : what the lags of the thermocouples add to the march (RecordFit.lag_offset), or None
+    lag      : what the lags of the thermocouples add to the march (`lag_offset`), or None
     returns  : readings of all channels, and the place of each among those of the channels one after the other
 
     Source: docs/theory/estimation_statistics.md, equations 1, 2 and 4.
@@ -185,9 +187,32 @@ def track_of_record(
     steps = np.append(steps[steps < end], end)
     record_fit = RecordFit(record, model, mesh, None, conditions, (), (), time_s=steps, sample_s=t[chosen])
     steps = record_fit.time_s = record_fit.divided_times()
-    samples, _ = filter_samples(channels, t[chosen], mesh, sigma, lag=record_fit.lag_offset(np.zeros(0)))
+    samples, _ = filter_samples(channels, t[chosen], mesh, sigma, lag=lag_offset(record_fit, np.zeros(0)))
     history = condition_history(conditions.at(steps))[np.newaxis]
     return FilterTrack(model, mesh, samples, covariance_K2=covariance), steps, history
+
+
+def lag_offset(record_fit: RecordFit, vector: FloatArray, *, sensitive: bool = True) -> Sensed | None:
+    """What the lags of a record's thermocouples add to the plain march, and its derivatives; None where none lags.
+
+    vector    : (parameter,)
+    sensitive : whether with sensitivities to the unknowns of march and start
+    raises    : RunError where the march failed
+
+    Used where a filter predicts the temperature of the place: docs/theory/filter.md, equation 7a.
+    """
+    if not record_fit.lags:
+        return None
+    track, history = record_fit.track(vector, sensitive=sensitive), record_fit.history(record_fit.time_s)
+    march = LinearMarch([track], record_fit.time_s, history)
+    plain = march.march(*set_parameters(march, [record_fit], [vector]))[0]
+    lagged, at = record_fit.sensed(plain, vector), np.searchsorted(record_fit.read_s, record_fit.sample_s)
+    return Sensed(
+        lagged.temperature_K - plain.temperature_K[:, at],
+        lagged.rate_K_s - plain.rate_K_s[:, at],
+        lagged.sensitivity - plain.sensitivity[:, at],
+        lagged.per_lag_K_s,
+    )
 
 
 def filtered_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:

@@ -85,11 +85,16 @@ def fitted_rows(record: Record) -> NDArray[np.bool_]:
     """(row,) whether each row of a record's conditions lies in a fit segment, between its first and last sample.
 
     record : conditions, samples and fit segments, times [s]
+
+    Where no row does, those that enclose the samples, between which conditions are linear.
     """
     t, mask = record.conditions.time_s, record.fit_mask(record.conditions.time_s)
     # conditions without samples contain no information, whatever changes there
     samples = record.time_s[record.fit_mask()]
-    return mask & (t >= samples.min(initial=np.inf)) & (t <= samples.max(initial=-np.inf))
+    rows = mask & (t >= samples.min(initial=np.inf)) & (t <= samples.max(initial=-np.inf))
+    if len(samples) and not rows.any():
+        rows[max(np.searchsorted(t, samples.min(), "right") - 1, 0) : np.searchsorted(t, samples.max()) + 1] = True
+    return rows
 
 
 def variables_of(name: str) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from pydantic import Field, model_validator
@@ -36,7 +36,7 @@ VOCABULARY: dict[str, tuple[str, ...]] = {
         "geometric altitude", "geodetic altitude", "gps altitude", "h", "h sl", "height", "height above sea level",
         "geometric height", "z",
     ),
-    GEOPOTENTIAL: ("geopotential height", "geopotential altitude", "geopotential", "hght", "gph"),
+    GEOPOTENTIAL: ("geopotential height", "geopotential altitude", "geopotential alt", "geopotential", "hght", "gph"),
     "velocity_m_s": (
         "velocity", "vel", "speed", "v", "total velocity", "velocity total", "v total", "vtotal", "vt", "airspeed",
         "air speed", "true airspeed", "true air speed", "tas", "vtas", "v tas", "vtrue", "v true", "v rel",
@@ -75,6 +75,10 @@ PLAIN = ("mach", "log10_re", "jets", REYNOLDS)
 """Columns that are numbers without a unit."""
 AS_IT_IS = Conversion(1.0, 0.0)
 CLOSING = ")]>"
+NAUTICAL = "nm"
+"""A nanometre, and in flights a nautical mile: asked for."""
+FACTOR = r"(?i)(.*?\S) ?[x*\u00d7] ?(?:10+|1e[+-]?\d+|10\^[+-]?\d+)"
+"""A name that ends in the factor of its numbers, `rho x 1e6`."""
 MACH_UNITS = ("mach", "Mach", "MACH", "Ma")
 
 
@@ -197,6 +201,9 @@ def field_of_name(name: str, unit: str | None = None) -> FlightField | None:
     if name in DESCRIPTIONS and unit is None:
         return FlightField(name, name, column_unit(name), AS_IT_IS)
     base, stated = _name_and_unit(name) if unit is None else (name, unit)
+    if factor := re.fullmatch(FACTOR, base):
+        of_factor = field_of_name(factor[1])
+        return None if of_factor is None else replace(of_factor, name=name, unit=None, convert=AS_IT_IS)
     columns = _columns(base)
     if stated in MACH_UNITS and "velocity_m_s" in columns:
         return FlightField(name, "mach", stated, AS_IT_IS)
@@ -214,7 +221,7 @@ def field_of_name(name: str, unit: str | None = None) -> FlightField | None:
 def _conversion(unit: str, column: str) -> Conversion | None:
     """The conversion from a unit to that of a column; None where the unit is not known, or of something else."""
     target = "" if column in PLAIN else column_unit(column)
-    if (unit in NO_DIMENSION) != (target == ""):
+    if (unit in NO_DIMENSION) != (target == "") or unit == NAUTICAL:
         return None
     return converted(unit, target)
 

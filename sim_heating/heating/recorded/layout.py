@@ -8,14 +8,12 @@ condition; an empty cell or `NaN` is no number.
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +23,6 @@ from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import CsvTable, display_path, read_text
 from sim_heating.base.files.csv_table import header_entry
 from sim_heating.base.files.text import repeated_name
-from sim_heating.base.files.units import converted
 from sim_heating.heating.recorded.fields import (
     ConditionField,
     FlightField,
@@ -37,18 +34,11 @@ from sim_heating.heating.recorded.fields import (
 if TYPE_CHECKING:
     from sim_heating.heating.recorded.cells.block import Block
     from sim_heating.heating.recorded.cells.clocks import Clock
-    from sim_heating.heating.recorded.cells.numbers import Numbers
 
 SAME = 2e-3
 """Relative difference of two fields of one column that are the same but for rounding."""
 DERIVABLE = {"T_inf_K", "p_inf_Pa", "rho_kg_m3", "mach", "log10_re", "p_surface_Pa"}
 """Columns that may follow from others."""
-FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
-"""The sign of an exponent as Fortran writes it, `1.0D+03`."""
-FORTRAN_ROW = re.compile(r"[\s\d.,;+\-dD]+")
-"""A row of such numbers, and of nothing else."""
-RULE = re.compile(r"^[\s|+\-=]{3,}$")
-"""A line of dashes, which separates the names of a list from its rows."""
 
 
 @dataclass(frozen=True)
@@ -149,8 +139,11 @@ def read_fields(path: Path, stated: Mapping[str, ConditionField | str] | None = 
     raises : InputError, one line a problem: no rows of numbers, two fields of one column that differ, a stated field
              that is not there
     """
-    names, units, numbers, lines, header = _rows(path, _text(path))
-    declared = stated or {}
+    text = _text(path)
+    block = _block(path, text)
+    names, lines = list(block.names), np.array(block.lines, dtype=np.int64)
+    declared = _with_clock(block, stated or {})
+    units, numbers = _units_and_numbers(block, declared)
     with error_context(display_path(path)):
         by_column = columns_of_fields(names, units, declared)
     blank = {name for name, values in numbers.items() if np.all(np.isnan(values))}
@@ -166,8 +159,9 @@ def read_fields(path: Path, stated: Mapping[str, ConditionField | str] | None = 
     columns |= {column: np.full(len(lines), constant) for column, constant in declared_constants(declared).items()}
     matched = [f.name for fields in by_column.values() for f in fields]
     unused, empty = tuple(n for n in names if n not in matched), tuple(n for n in matched if n in blank)
-    rows = np.array(lines, dtype=np.int64)
-    return FlightFields(path, columns, used, fields_without_unit, unused, empty, header, rows, numbers)
+    ahead = [line for line in text.split("\n")[: lines[0] - 1] if line.lstrip().startswith("#")]
+    header = dict(header_entry(line) for line in ahead if ":" in line)
+    return FlightFields(path, columns, used, fields_without_unit, unused, empty, header, lines, numbers)
 
 
 def _one(
@@ -190,28 +184,6 @@ def _one(
     return fields[first], values[first]
 
 
-def _numbers(cells: Sequence[Any]) -> FloatArray:
-    """(row,) numbers of a column; NaN where a cell holds none."""
-    try:
-        return np.array(cells, dtype=np.float64)
-    except (TypeError, ValueError):
-        return np.array([_number(cell) for cell in cells])
-
-
-def _number(cell: Any) -> float:
-    if isinstance(cell, bool) or cell is None:
-        return math.nan
-    try:
-        value = float(cell)
-    except (TypeError, ValueError):
-        return math.nan
-    return value if math.isfinite(value) else math.nan
-
-
-Rows = tuple[list[str], dict[str, str], dict[str, FloatArray], list[int], dict[str, str]]
-"""Names, unit by name, numbers by name, line of each row, and the header."""
-
-
 def _text(path: Path) -> str:
     """The text of a file in UTF-8 or UTF-16, each line ended by one sign.
 
@@ -225,44 +197,54 @@ def _text(path: Path) -> str:
     return read_text(path).replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _rows(path: Path, text: str) -> Rows:
+def _block(path: Path, text: str) -> Block:
     """The rows of a file.
 
     raises : InputError where there are no names, or no rows of numbers
     """
-    if text.lstrip()[:1] in ("{", "["):
-        return _json_rows(path, text)
     from sim_heating.heating.recorded.cells.text import text_block  # pandas, which a vehicle does not need
 
-    lines = text.split("\n")
-    rows = (FORTRAN.sub("E", line) if FORTRAN_ROW.fullmatch(line) else line for line in lines)
-    block = text_block(path, "\n".join("" if RULE.match(row) else row for row in rows))
+    block = text_block(path, text)
     if not block.has_names:
         raise InputError(
             f"{display_path(path)}: the row of column names is missing; add one, with units, as `Altitude (ft)`"
         )
     if (twice := repeated_name(block.names)) is not None:
         raise InputError(f"{display_path(path)}: column `{twice}` is repeated; remove one")
-    units, numbers = _units_and_numbers(block)
-    ahead = [line for line in lines[: block.lines[0] - 1] if line.lstrip().startswith("#")]
-    header = dict(header_entry(line) for line in ahead if ":" in line)
-    return list(block.names), units, numbers, list(block.lines), header
+    return block
 
 
-def _units_and_numbers(block: Block) -> tuple[dict[str, str], dict[str, FloatArray]]:
+def _with_clock(block: Block, declared: Mapping[str, ConditionField | str]) -> Mapping[str, ConditionField | str]:
+    """Declared fields, with the column of clocks as the time that is called so, else the only one, where none is
+    declared."""
+    from sim_heating.heating.recorded.cells.text import is_clock
+
+    called = [name for name in block.names if (f := field_of_name(name)) is not None and f.column == "time_s"]
+    first = [(name, [c for c in block.column(k)[:50] if c]) for k, name in enumerate(block.names)]
+    clocks = [name for name, cells in first if cells and all(map(is_clock, cells))]
+    times = [name for name in called or clocks if name in clocks]
+    return declared if "time_s" in declared or len(times) != 1 else {**declared, "time_s": times[0]}
+
+
+def _units_and_numbers(
+    block: Block, declared: Mapping[str, ConditionField | str]
+) -> tuple[dict[str, str], dict[str, FloatArray]]:
     """Unit of each column, where a row of units or the cells state one, and its numbers, by one layout for the file.
 
     raises : InputError where a cell shows that the layout is not clear
     """
     from sim_heating.heating.recorded.cells.clocks import clock_of
-    from sim_heating.heating.recorded.cells.numbers import number_signs, numbers_of
+    from sim_heating.heating.recorded.cells.numbers import number_signs, numbers_of, require_one_unit, shown_cell
     from sim_heating.heating.recorded.cells.text import is_clock
 
     fields = [field_of_name(name) for name in block.names]
-    clocks = {
-        k for k, f in enumerate(fields)
-        if f is not None and f.column == "time_s" and any(map(is_clock, block.column(k)[:50]))
-    }  # fmt: skip
+    time = declared.get("time_s")
+    times = (
+        [f.name for f in fields if f is not None and f.column == "time_s"]
+        if time is None
+        else [time if isinstance(time, str) else time.field]
+    )
+    clocks = {k for k, name in enumerate(block.names) if name in times and any(map(is_clock, block.column(k)[:50]))}
     signs = number_signs(block, [k for k in range(len(block.names)) if k not in clocks], None)
     units, numbers = {}, {}
     for k, (name, stated, of_name) in enumerate(zip(block.names, block.units, fields, strict=True)):
@@ -271,63 +253,27 @@ def _units_and_numbers(block: Block) -> tuple[dict[str, str], dict[str, FloatArr
         read = numbers_of(cells, signs)
         unit = stated.strip("[]() ") or read.unit
         if clock is None and of_name is not None:
-            _require_one_layout(block, k, read, of_name)
+            if read.torn >= 0:
+                shown = shown_cell(cells[read.torn])
+                rule = "is no number in the layout of the file; mend the cell"
+                raise InputError(f"{block.at(read.torn, name)}: `{shown}` {rule}")
+            stated_unit = stated.strip("[]() ") or of_name.unit or ""
+            require_one_unit(block, k, read, stated_unit, [column_unit(of_name.column)])
         numbers[name] = read.values if clock is None else _counted_s(clock)
         if clock is not None or unit:
             units[name] = unit if clock is None else "s"
     return units, numbers
 
 
-def _require_one_layout(block: Block, k: int, read: Numbers, of_name: FlightField) -> None:
-    """Refuse a column of conditions whose cells have several layouts or units, or another unit than its name.
-
-    raises : InputError with the first such cell
-    """
-    from sim_heating.heating.recorded.cells.numbers import shown_cell
-
-    i, name = max(read.torn, 0), block.names[k]
-    stated, si = block.units[k].strip("[]() ") or of_name.unit, column_unit(of_name.column)
-    if read.torn >= 0:
-        rule = "is no number in the layout of the file; mend the cell"
-    elif read.unit and stated and converted(read.unit, si) != converted(stated, si):
-        rule = f"has another unit than the column states, `{stated}`; write one unit"
-    else:
-        return
-    raise InputError(f"{block.at(i, name)}: `{shown_cell(block.column(k)[i])}` {rule}")
-
-
 def _counted_s(clock: Clock) -> FloatArray:
-    """Times of a clock from its first row [s], also over midnight where it states no date."""
+    """Times of a clock from the earliest row [s], also over midnight where it states no date."""
     from sim_heating.heating.recorded.cells.clocks import over_midnight
 
     seconds = over_midnight(clock.seconds)[0] if clock.day_s is None else clock.seconds
-    return np.round(seconds - seconds[np.isfinite(seconds)][0], 6)
+    return np.round(seconds - np.nanmin(seconds), 6)
 
 
 def declared_constants(declared: Mapping[str, ConditionField | str]) -> dict[str, float]:
     """Columns that are declared to be one number."""
     fields = {column: value for column, value in declared.items() if isinstance(value, ConditionField)}
     return {column: field.constant for column, field in fields.items() if field.constant is not None}
-
-
-def _numbered_objects(text: str) -> list[tuple[int, Any]]:
-    """Entries of a list in JSON with their numbers, or what each line holds with that of the line."""
-    if text.lstrip().startswith("["):
-        return list(enumerate(json.loads(text), 1))
-    return [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
-
-
-def _json_rows(path: Path, text: str) -> Rows:
-    """Rows of JSON: one object a line, or a list of objects."""
-    file = display_path(path)
-    try:
-        numbered = _numbered_objects(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{file}, row {error.lineno}: is not JSON ({error.msg}); give one object a line") from None
-    except RecursionError:
-        raise InputError(f"{file}: objects or lists are nested too deeply; give one object a line") from None
-    rows = [(i, row) for i, row in numbered if isinstance(row, dict)]
-    if not rows or len(rows) != len(numbered):
-        raise InputError(f"{file}: is no list of JSON objects; give one object a line, of a time and flight conditions")
-    names = list(dict.fromkeys(name for _, row in rows for name in row))
-    return names, {}, {n: _numbers([row.get(n) for _, row in rows]) for n in names}, [i for i, _ in rows], {}

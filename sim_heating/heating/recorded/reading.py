@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +18,10 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
 from sim_heating.base.errors import InputError, reworded
 from sim_heating.base.files import CsvTable, display_path, nearest_name, raise_problems
+from sim_heating.base.files.csv_table import RUNS_BACK, runs_back
 from sim_heating.base.files.text import and_more_rows
+from sim_heating.base.files.units import name_and_unit
+from sim_heating.base.limits import LIMITS
 from sim_heating.heating.recorded.derive import derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit, field_of_name
 from sim_heating.heating.recorded.layout import DERIVABLE, FlightFields, read_fields
@@ -36,6 +39,8 @@ NEARLY = 0.85
 """Similarity of names from which one is the other, misspelt."""
 FLYING_M_S = 300.0
 """Speed [m/s] from which surface pressures tell of a place on a body."""
+LAST_STAMP_S = 1e12
+"""Times of all calendars in use are earlier [s]; those of 1970 in ms are later, taken for s."""
 SMALL_KM, SMALL_KM_S = 400.0, 20.0
 """Largest altitude and speed that a message proposes km and km/s for."""
 
@@ -155,7 +160,17 @@ def read_flight(
             notes.append(f"{text} {', '.join(f'`{n}`' for n in names)}")
     of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(flight.columns)
     fields_of = {column: f.name for column, f in flight.fields.items()}
-    return FlightTable(flight.table(columns), tuple(notes), tuple(assumed), of_model, fields_of)
+    return newest_last(FlightTable(flight.table(columns), tuple(notes), tuple(assumed), of_model, fields_of))
+
+
+def newest_last(flight: FlightTable) -> FlightTable:
+    """A flight that begins with its newest row in the order of time, told; another one as it is."""
+    table = flight.table
+    if not runs_back(table["time_s"]):
+        return flight
+    columns = {name: values[::-1] for name, values in table.columns.items()}
+    table = replace(table, columns=columns, lines=table.lines[::-1])
+    return replace(flight, table=table, notes=(*flight.notes, RUNS_BACK))
 
 
 def _of_row(flight: FlightFields, line: str) -> str:
@@ -221,7 +236,12 @@ def with_pressure(
 
 
 def _with_time(flight: FlightFields) -> tuple[FlightFields, list[str]]:
-    """The fields with a time that states no unit taken for seconds, and a note of it; its steps are checked later."""
+    """The fields with a time that states no unit taken for seconds, or a date counted from the earliest row, and a note
+    of it; its steps are checked later."""
+    if np.all((s := flight.columns.get("time_s", np.zeros(1))) > LIMITS["time_s"][1]) and np.all(s < LAST_STAMP_S):
+        name, counted = flight.fields["time_s"].name, {**flight.columns, "time_s": np.round(s - s.min(), 6)}
+        note = f"`{name}` is a date: counted from the earliest row"
+        return flight.replaced(counted, flight.fields, flight.fields_without_unit), [note]
     time = flight.fields_without_unit.get("time_s")
     if time is None or "time_s" in flight.columns:
         return flight, []
@@ -262,7 +282,7 @@ def _refuse_lacking(
     if not needed:
         return
     concerned = {c: f for c, f in flight.fields_without_unit.items() if c in (*required, "rho_kg_m3")}
-    named_units = {c: (f.name, _example(c, flight.numbers[f.name])) for c, f in concerned.items()}
+    named_units = {c: (f.name, _example(f, flight.numbers[f.name])) for c, f in concerned.items()}
     # what would follow from a column that is asked for is not asked for itself
     follows = {*DERIVABLE} - (set() if has_pressure else {"p_surface_Pa"})
     absent = [column for column in needed if column not in {*named_units, *follows}]
@@ -283,8 +303,14 @@ def _misspelt(flight: FlightFields, required: Sequence[str]) -> list[str]:
     ]
 
 
-def _example(column: str, values: FloatArray) -> str:
-    """A unit that the values of a column may be in, for a message; nothing is converted by it."""
+def _example(f: FlightField, values: FloatArray) -> str:
+    """A unit that the values of a field may be in, for a message; nothing is converted by it.
+
+    UNIT where the name states one that is not known.
+    """
+    column = f.column
+    if name_and_unit(f.name, ())[1] or re.search(r"\d$", f.name):
+        return "UNIT"
     largest = float(np.nanmax(np.abs(values)))
     if column == "altitude_m":
         return "km" if largest < SMALL_KM else "m"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -48,32 +46,6 @@ def read_table(path: Path, kind: str, sheet: str | None) -> Block | list[list[st
     except Exception as error:  # each library has its own
         line = " ".join(str(error).split())[:120]
         raise InputError(f"{display_path(path)}: cannot be read as {kind} ({line}); export a CSV file") from None
-
-
-def json_block(path: Path, text: str) -> Block:
-    """The block of JSON lines, one object a row, whose keys are names of columns, or of a list of such objects.
-
-    raises : InputError, one line, for a row that is no object
-    """
-    if text.lstrip().startswith("["):
-        items = _json(text)
-        rows = list(enumerate(items if isinstance(items, list) else [None], 1))
-    else:
-        rows = [(i, _json(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
-    for i, row in rows:
-        if not isinstance(row, dict):
-            raise InputError(f"{display_path(path)}, row {i}: no JSON object; write one a row, with the same keys")
-    block = of_frame(path, pd.DataFrame([row for _, row in rows], dtype=object), {}, "JSON")
-    return replace(block, lines=tuple(i for i, _ in rows))
-
-
-def _json(text: str) -> object:
-    """What a text of JSON holds; None where it is none."""
-    try:
-        value: object = json.loads(text)
-    except (ValueError, RecursionError):
-        return None
-    return value
 
 
 def _parquet(path: Path) -> Block:

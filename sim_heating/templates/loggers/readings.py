@@ -10,6 +10,7 @@ on)
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -50,13 +51,15 @@ def fault_codes(values: FloatArray) -> BoolArray:
         others = np.flatnonzero(np.isfinite(values) & ~is_code)
         if not is_code.any() or len(others) < 3:
             continue
-        scale = 1.4826 * float(np.median(np.abs(np.diff(values[others]))))
+        # a steady heating leaves nothing in second differences, whose noise is larger by the root of 3
+        steady, moving = (1.4826 * float(np.median(np.abs(np.diff(values[others], n)))) for n in (2, 1))
         for i in np.flatnonzero(is_code):
             k = int(np.searchsorted(others, i))
             sides = [values[others[j]] for j in (k - 1, k) if 0 <= j < len(others)]
             if len(sides) < 2 and code in DROPPED:
                 continue
             apart = abs(sides[0] - sides[-1])
+            scale = moving if len(sides) < 2 else min(moving, steady / math.sqrt(3.0))
             is_fault[i] = min(abs(x - code) for x in sides) > max(SIGMAS * scale, LEAST * apart, 10.0 * SMALLEST)
     return is_fault
 

@@ -42,20 +42,23 @@ _AMERICA = {"est": -5, "edt": -4, "cst": -6, "cdt": -5, "mst": -7, "mdt": -6, "p
 ZONES = {**_EUROPE, **_AMERICA}
 """Names of offsets from UTC [h]; they matter where they change within a file."""
 DATE = (
-    r"(?:(?P<a>\d{1,4})(?P<mark>[-/. ])(?P<b>\d{1,2}|[^\W\d]{3,9}\.?)(?:(?P=mark)|, ?)(?P<c>\d{2,4})"
-    r"|(?P<named>[^\W\d]{3,9})\.? (?P<nd>\d{1,2}),? (?P<ny>\d{4})|(?P<basic>\d{8}))"
+    r"(?:(?P<a>\d{1,4})\.?(?P<mark>[-/. ])(?P<b>\d{1,2}|[^\W\d]{3,9}\.?)(?:(?P=mark)|, ?)(?P<c>\d{2,4})"
+    r"|(?P<named>[^\W\d]{3,9})\.? (?P<nd>\d{1,2}),? (?P<ny>\d{4})|(?P<ordinal>\d{4}[-/:]?\d{3})|(?P<basic>\d{8}))"
 )
 TIME = (
-    r"(?:(?P<days>\d{1,4}) (?:days?,? )?)?(?P<h>\d{1,4}):(?P<m>\d{1,2})(?::(?P<s>\d{1,2})(?::(?P<x>\d{1,3}))?)?"
+    r"(?:(?P<days>\d{1,4})(?:[ /]| ?d(?:ays?)?,? ))?"
+    r"(?P<h>\d{1,4}):(?P<m>\d{1,2})(?::(?P<s>\d{1,2})(?::(?P<x>\d{1,3}))?)?"
     r"(?:[.,](?P<f>\d{1,9}))?"
 )
 BASIC_TIME = r"(?P<bt>\d{4}(?:\d{2})?)(?:[.,](?P<bf>\d{1,9}))?"
-HALF = r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
+HALF = r"(?: ?(?P<half>[AaPp])\.? ?[Mm]\.?)?"
 OFFSET = r"(?: ?(?P<zone>[A-Za-z]{1,4})?(?P<offset>[+\u2212-]\d{2}(?::?\d{2})?)?)"
 STAMP = re.compile(
-    rf"'?(?:[A-Za-z]{{2,9}},? +)?{DATE}(?:(?:[T_-]|,? +|(?<=\d{{4}}):)(?:{TIME}|{BASIC_TIME}){HALF}{OFFSET})?"
+    rf"'?(?:[A-Za-z]{{2,9}},? +)?{DATE}(?:(?:[T_-]|,? +|(?<=\d{{3}}):)(?:{TIME}|{BASIC_TIME}){HALF}{OFFSET})?"
 )
 OF_DAY = re.compile(rf"'?{TIME}{HALF}{OFFSET}")
+CTIME = re.compile(r"([A-Za-z]{3}) +(\d{1,2}) (\d{1,2}:\d{2}:\d{2}) (\d{4})$")
+"""The end of a stamp with the year last, `Mon May 13 10:45:00 2024`."""
 ALL_BASIC = re.compile(r"(?:19|20)\d{12}(?:[.,]\d+)?")
 """Date and time as one number, yyyymmddhhmmss."""
 
@@ -85,7 +88,9 @@ def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit
     unit     : layout of the time of day as in CLOCKS, where it is stated
     raises   : InputError, one line with a cell and the option that decides, where several layouts fit
     """
-    series = pd.Series(list(cells), dtype=object)
+    # blanks of no break stand before `a.m.` in stamps of spreadsheets
+    written = (cell.replace("\u00a0", " ").replace("\u202f", " ") for cell in cells)
+    series = pd.Series([CTIME.sub(r"\1 \2 \4 \3", cell) for cell in written], dtype=object)
     full = series != ""
     if not full.any():
         return None
@@ -185,6 +190,8 @@ def _time_of_day(cells: _Cells, unit: str | None) -> tuple[FloatArray, bool, str
         )
     if np.any(time.seconds >= 61.0):
         raise cells.problem("is no time of day; mend the cell", int(np.argmax(time.seconds >= 61.0)))
+    if np.any(leaps := (time.hours == 23.0) & (time.minutes == 59.0) & (time.seconds >= 60.0)):
+        raise cells.problem("may be a leap second or midnight; mend the cell, or give --period", int(np.argmax(leaps)))
     if any(cells.strings("half")):
         time, layout = time._replace(hours=_hours_of_halves(cells, time.hours)), f"{layout}, AM and PM"
     seconds = time.days * DAY_S + 3600.0 * time.hours + 60.0 * time.minutes + time.seconds + time.fraction
@@ -296,6 +303,11 @@ def _unambiguous_days(cells: _Cells) -> tuple[FloatArray, str] | None:
     if cells.groups["basic"][first]:
         texts = [text or "00000000" for text in cells.strings("basic")]
         return _day(*(np.array([float(t[p]) for t in texts]) for p in DIGITS_OF_BASIC)), "yyyymmdd"
+    if cells.groups["ordinal"][first]:
+        texts = [text or "0000000" for text in cells.strings("ordinal")]
+        year, number = (np.array([float(t[part]) for t in texts]) for part in (slice(4), slice(-3, None)))
+        first_day, after = (_day(y, np.ones(len(y)), np.ones(len(y))) for y in (year, year + 1.0))
+        return np.where((number >= 1.0) & (number <= after - first_day), first_day + number - 1.0, np.nan), "yyyy-ddd"
     if cells.groups["named"][first]:
         year, day = cells.numbers("ny"), cells.numbers("nd")
         return _day(year, _months(cells.strings("named")), day), "with names of months"

@@ -13,13 +13,14 @@ import pandas as pd
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.text import abbreviated
-from sim_heating.base.files.units import known_unit
+from sim_heating.base.files.units import converted, known_unit
 from sim_heating.heating.recorded.cells.block import Block
 
 BLANKS = "\u00a0\u202f'"
 """Thousands signs that are no decimal sign."""
-TORN = re.compile(r"(?i)(?:(?:#?n/?an?|null|none|-+)\s+)?[+-]?[.,]?\d")
-"""How a cell begins that holds a number, or several, also behind a lost one, but not in the layout of the file."""
+TORN = re.compile(r"(?i)(?:(?:#?n/?an?|null|none|-+)\s+)?\(?[+-]?[.,]?\d")
+"""How a cell begins that holds a number, or several, also behind a lost one or in brackets, but not in the layout of
+the file."""
 PLAIN_CHARACTERS = set("0123456789.+-eE")
 WITH_UNIT = re.compile(r"([+-]?[\d.,'\u00a0\u202f]*\d[.,]?(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:+-].*)")
 GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{0}\d{{3}})+"
@@ -135,7 +136,8 @@ def _thousands(block: Block, columns: Sequence[int], decimal: str) -> str:
     """The thousands sign that cells show beside a decimal sign."""
     other = _other_sign(decimal)
     grouped = re.compile(GROUPED.format(re.escape(other)) + rf"(?:{re.escape(decimal)}\d*)?{EXPONENT}")
-    return other if any(other in c and grouped.fullmatch(_bare(c)) for k in columns for c in block.column(k)) else ""
+    written = [block.column(k) for k in columns if other in "".join(block.column(k))]
+    return other if any(other in c and grouped.fullmatch(_bare(c)) for cells in written for c in cells) else ""
 
 
 def _bare(cell: str) -> str:
@@ -229,6 +231,20 @@ def _read(cell: str, pattern: re.Pattern[str], drop: dict[int, int | None], deci
             return math.nan, ""
     value = float(plain.translate(drop).replace(decimal, "."))
     return (value, unit) if math.isfinite(value) else (math.nan, "")
+
+
+def require_one_unit(block: Block, k: int, numbers: Numbers, stated: str, quantities: Sequence[str]) -> None:
+    """Refuse a column that states another unit than its cells.
+
+    stated     : unit of the name or of a row of units; one of no quantity, such as `Avg`, is none
+    quantities : SI units that both convert to
+    raises     : InputError with the first such cell
+    """
+    of_column, of_cells = ([converted(unit, si) for si in quantities] for unit in (stated, numbers.unit))
+    if numbers.unit and stated and any(of_column) and of_column != of_cells:
+        i = int(np.argmax(np.isfinite(numbers.values)))
+        rule = f"has another unit than the column states, `{stated}`; write one unit"
+        raise InputError(f"{block.at(i, block.names[k])}: `{shown_cell(block.column(k)[i])}` {rule}")
 
 
 def shown_cell(cell: str) -> str:

@@ -6,6 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
@@ -13,9 +14,12 @@ from sim_heating.base.files import display_path, read_text
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import converted, known_unit
 from sim_heating.heating.recorded.cells.block import Block
+from sim_heating.heating.recorded.cells.json_rows import is_json, json_block
+from sim_heating.heating.recorded.cells.tecplot import is_tecplot, tecplot_block
 
-SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", " ": "blanks"}
-"""In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates."""
+WIDE = "  "
+SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", WIDE: "wide blanks", " ": "blanks"}
+"""In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates, and no two do."""
 Row = tuple[int, Sequence[str]]
 """Line and cells; tuples, which the collector of garbage leaves alone, of a million rows."""
 PLAIN = r"[+-]?(?:\d[\d.,'\u00a0\u202f]*|[.,]\d+)(?:[eE][+-]?\d+)?"
@@ -24,12 +28,19 @@ NUMBER_CELL = re.compile(rf"{PLAIN}\s*(?:[^\d\s.,;:/([-][^\d,;:([]{{0,15}}\d?|[(
 """A number, also with a unit behind it, such as `21.3 °C`; `1TC (degC)` is the name of a channel."""
 CLOCK_CELL = re.compile(
     r"'?(?:[A-Za-z]{3,9},? )?(?:\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3,9}\.?)[-/.]\d{1,4}.*"
-    r"|\d{1,3}(?: (?:days?,? )?\d{1,2})?:\d{1,2}\b.*|\d{8}[T _]\d{4,6}.*"
-    r"|\d{1,2} [A-Za-z]{3,9} \d{4}.*|[A-Za-z]{3,9} \d{1,2},? \d{4}.*)"
+    r"|\d{1,3}(?:(?:[ /]| ?d(?:ays?)?,? )\d{1,2})?:\d{1,2}\b.*|\d{8}[T _]\d{4,6}.*"
+    r"|\d{4}[-/:]?\d{3}[T: ]\d{1,2}:\d{1,2}\b.*"
+    r"|\d{1,2}\.? [^\W\d]{3,9}\.? \d{4}.*|[A-Za-z]{3,9} +\d{1,2}(?:,? \d{4}| \d{1,2}:\d{2}:).*)"
 )
 """What may be a date or a time of day."""
 SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
 """Several numbers in one cell."""
+FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
+"""The sign of an exponent as Fortran writes it, `1.0D+03`."""
+FORTRAN_ROW = re.compile(r"[\s\d.,;+\-dD]+")
+"""A row of such numbers, and of nothing else."""
+RULE = re.compile(r"[\s|+\-=:]{3,}")
+"""A line of dashes, which separates the names of a list from its rows."""
 SIGN_APART = re.compile(r"(?m)(^|[,;\t|])([+-]) +(?=[\d.])")
 """A sign with blanks behind it, as Graphtec writes numbers."""
 PROCESS = {"", "avg", "smp", "min", "max", "std", "tot", "sample", "ave", "average", "last", "mean"}
@@ -38,6 +49,14 @@ NAME_WORDS = r"(?i)time|zeit|date|datum|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$
 """Words by which a row is one of names."""
 COMMENT_SIGNS = ("#", "%")
 """Signs that begin a line of comment, which may hold the names of the columns."""
+HAS_BLANK = re.compile(r"\s").search
+"""Whether a line holds a blank of any kind."""
+OPEN_QUOTE = re.compile(r'(?:^|[,;\t|])\s*"(?:[^"]|"")*$')
+"""A cell that begins with a quote and does not end in the line; another quote may be an inch."""
+TIME_WORDS = r"(?i)time|zeit|date|datum|^t$|^(elapsed )?sec"
+"""Words of the name of a time."""
+HEAD_LINES = 50
+"""Most lines above the data."""
 TRAILER_LINES = 30
 """Most lines behind the data that may be a summary."""
 SAMPLE_LINES = 4000
@@ -69,9 +88,17 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
     separator : between cells, where it is known
     raises    : InputError, one line, where rows differ in their cells, or there are none of numbers
     """
+    if is_json(text):
+        return json_block(path, text)
+    if is_tecplot(text):
+        return tecplot_block(path, text)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = (SIGN_APART.sub(r"\1\2", text) if "+ " in text or "- " in text else text).split("\n")
     numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;")]
+    numbered = [row for row in numbered[:HEAD_LINES] if not RULE.fullmatch(row[1])] + numbered[HEAD_LINES:]
+    if any(FORTRAN_ROW.fullmatch(line) and FORTRAN.search(line) for _, line in numbered[: 2 * HEAD_LINES]):
+        numbered = [(i, FORTRAN.sub("E", line) if FORTRAN_ROW.fullmatch(line) else line) for i, line in numbered]
+    numbered = _with_closed_quotes(numbered)
     if numbered and (stated := re.fullmatch(r"sep=(.)\s*", numbered[0][1].strip('"'))):
         separator, numbered = separator or stated[1], numbered[1:]
     recorder = _recorder(numbered)
@@ -90,6 +117,20 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
     return rows_block(path, rows, sign, recorder=recorder, lines=dict(numbered))
 
 
+def _with_closed_quotes(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Lines above the data in which a quoted name may stand on several lines of the file, as in spreadsheets."""
+    head, rest = lines[:HEAD_LINES], lines[HEAD_LINES:]
+    joined: list[tuple[int, str]] = []
+    is_open = False
+    for i, line in head:
+        if is_open:
+            joined[-1] = (joined[-1][0], f"{joined[-1][1]} {line}")
+        else:
+            joined.append((i, line))
+        is_open = line.count('"') % 2 == 0 if is_open else OPEN_QUOTE.search(line) is not None
+    return lines if is_open else [*joined, *rest]
+
+
 def _recorder(lines: Sequence[tuple[int, str]]) -> str:
     """The recorder whose first line names it; empty where none does."""
     first = lines[0][1].lstrip('"') if lines else ""
@@ -102,7 +143,7 @@ def _recorder(lines: Sequence[tuple[int, str]]) -> str:
 
 def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], bool]:
     """Lines of the serial monitor of an Arduino, `10:45:00.512 -> 20.06,20.46`, with a separator for the arrow."""
-    if sum(" -> " in line for _, line in lines) < 0.9 * len(lines):
+    if sum(" -> " in line for _, line in lines[:HEAD_LINES]) < 0.9 * len(lines[:HEAD_LINES]):
         return lines, False
     arrow = re.compile(r"(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> (.*)")
     stamped = [(i, m[1], m[2]) for i, line in lines if (m := arrow.fullmatch(line.strip())) is not None]
@@ -129,16 +170,20 @@ def _labelled_values(texts: Sequence[str]) -> tuple[list[str], list[list[str]]] 
 def split_lines(lines: Sequence[tuple[int, str]], sign: str) -> list[Row]:
     """Number and cells of each line; a quoted cell may hold the separator, and ends with its line.
 
-    sign : separator; a blank stands for any number of blanks
+    sign : separator; a blank stands for any number of blanks, and two for two or more
     """
     texts = [line for _, line in lines]
     if sign == " ":
-        rows = [line.split() for line in texts]
+        rows = [tuple(line.split()) for line in texts]
+    elif sign == WIDE:
+        rows = [tuple(re.split(r" {2,}|\t+", line.strip())) for line in texts]
     else:
-        rows = list(csv.reader(texts, delimiter=sign, skipinitialspace=True))
+        rows = list(map(tuple, csv.reader(texts, delimiter=sign, skipinitialspace=True)))
         if len(rows) != len(texts):  # a quote that is not closed
-            rows = [next(csv.reader([line], delimiter=sign, skipinitialspace=True)) for line in texts]
-    return [(i, tuple(map(str.strip, cells))) for (i, _), cells in zip(lines, rows, strict=True)]
+            rows = [tuple(next(csv.reader([line], delimiter=sign, skipinitialspace=True))) for line in texts]
+    if any(map(HAS_BLANK, texts)):
+        rows = [tuple(map(str.strip, cells)) for cells in rows]
+    return [(i, cells) for (i, _), cells in zip(lines, rows, strict=True)]
 
 
 def _separator(lines: Sequence[tuple[int, str]]) -> str:
@@ -147,10 +192,13 @@ def _separator(lines: Sequence[tuple[int, str]]) -> str:
     sample = lines if len(lines) <= 2 * half else [*lines[:half], *lines[-half:]]
     best, most = ",", 0.0
     for sign in SEPARATORS:
-        if not any((sign if sign != " " else " ") in line or (sign == " " and "\t" in line) for _, line in sample):
+        if not any(sign in line or (sign == " " and "\t" in line) for _, line in sample):
             continue
-        rows = [cells for _, cells in split_lines(sample, sign)]
+        split = split_lines(sample, sign)
+        rows = [cells for _, cells in split]
         width, often = max(Counter(len(r) for r in rows).items(), key=lambda item: (item[1], item[0]))
+        if sign == WIDE and not _are_columns_of_dates(split[:HEAD_LINES], width):
+            continue
         if width < 2:
             continue
         wrong = sum(any(_is_torn(c, sign) for c in row) for row in rows)
@@ -158,6 +206,12 @@ def _separator(lines: Sequence[tuple[int, str]]) -> str:
         if agreement > most + 0.05:
             best, most = sign, agreement
     return best
+
+
+def _are_columns_of_dates(rows: Sequence[Row], width: int) -> bool:
+    """Whether cells that wide blanks separate are dates with blanks of their own, below names as many."""
+    has_names = any(len(cells) == width and not _is_data(cells) for _, cells in rows)
+    return has_names and any(" " in cell and is_clock(cell) for _, cells in rows for cell in cells)
 
 
 def _is_torn(cell: str, sign: str) -> bool:
@@ -171,7 +225,8 @@ def _is_torn(cell: str, sign: str) -> bool:
     if re.fullmatch(r"\d{8}\s+\d{4,6}", cell):
         return False
     if CLOCK_CELL.fullmatch(cell):
-        return re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
+        ends_in_year = re.search(r"[A-Za-z]{3} +\d{1,2} [\d:]+ \d{4}$", cell)
+        return not ends_in_year and re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
     return re.search(r"\d[.,]?\s+[+-]?[.,]?\d", cell) is not None
 
 
@@ -236,7 +291,7 @@ def _body(file: str, split: Sequence[Row], first: int, last: int) -> tuple[list[
             rule = "does not have the cells of the rows above; cut the file there"
             raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
         notes.append(f"rows {line} to {split[-1][0]} behind the data left out (`{_shown(cells)}`)")
-    body = [row for row in split[first : last + 1] if not _is_comment(row[1])]
+    body = [row for row in split[first : last + 1] if row[1][0][:1] not in COMMENT_SIGNS or not _is_comment(row[1])]
     if comments := last + 1 - first - len(body):
         notes.append(f"{comments} lines of comment amid the data left out")
     return body, notes
@@ -248,7 +303,7 @@ def _columns_of_rows(file: str, body: Sequence[Row], width: int) -> list[list[st
     raises : InputError, one line, for a row that has fewer cells, or more that are not empty
     """
     for line, cells in body:
-        if len(cells) < width or any(cells[width:]):
+        if len(cells) != width and (len(cells) < width or any(cells[width:])):
             rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
             raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
     return [[cells[column] for _, cells in body] for column in range(width)]
@@ -264,7 +319,7 @@ def _is_comment(cells: Sequence[str]) -> bool:
 
 def _first_row(split: Sequence[Row], width: int, recorder: str) -> int | None:
     """Index of the first row of data: of the usual width, and so is the next one."""
-    ahead = {"Campbell TOA5": 4, "Campbell TOACI1": 2}.get(recorder, 0)
+    ahead = {"Campbell TOA5": 4, "Campbell TOACI1": 2}.get(recorder, 0) or _rows_to_the_time(split[:HEAD_LINES], width)
     for k in range(ahead, len(split)):
         if len(split[k][1]) == width and not _is_comment(split[k][1]) and _is_data(split[k][1]):
             after = split[k + 1][1] if k + 1 < len(split) else split[k][1]
@@ -273,9 +328,30 @@ def _first_row(split: Sequence[Row], width: int, recorder: str) -> int | None:
     return None
 
 
+def _rows_to_the_time(split: Sequence[Row], width: int) -> int:
+    """Number of rows up to the first that names a time right above one; 0 where there is none, or data stand before.
+
+    Such a row may also name channels by numbers, and pairs as `Rate,10` may stand above it.
+    """
+    for k, ((_, cells), (_, below)) in enumerate(pairwise(split)):
+        if is_number(cells[0]) or is_clock(cells[0]):
+            return 0
+        if len(cells) == len(below) == width and any(
+            re.search(TIME_WORDS, cell) and (is_number(value) or is_clock(value))
+            for cell, value in zip(cells, below, strict=True)
+        ):
+            return k + 1
+    return 0
+
+
 def _names_below(split: Sequence[Row], k: int) -> bool:
     """Whether a row of names follows within a few rows."""
-    return any(sum(re.search(NAME_WORDS, c) is not None for c in cells) >= 2 for _, cells in split[k + 1 : k + 4])
+    return any(_count_of_names(cells) >= 2 for _, cells in split[k + 1 : k + 4])
+
+
+def _count_of_names(cells: Sequence[str]) -> int:
+    """How many cells are names of a time or a reading by their words."""
+    return sum(re.search(NAME_WORDS, c) is not None for c in cells)
 
 
 def _last_row(split: Sequence[Row], first: int, width: int) -> int:
@@ -316,8 +392,13 @@ def _head(
         rows = rows[1:]
     if not rows:
         return [f"column{k + 1}" for k in range(width)], none, 0
-    if len(rows) > 1 and (_is_unit_row(rows[0][1]) or _are_names_above(rows)):
+    if len(rows) > 1 and _are_names_above(rows):
         return rows[1][1], [c.strip() for c in rows[0][1]], rows[1][0]
+    for k, (_, cells) in enumerate(rows[:2]):
+        others = [*rows[k + 1 : k + 2], *rows[:k]]  # names stand above their units, or below
+        if others and _is_unit_row(cells) and not _is_label_of_units(cells[0]):
+            line, names = max(others, key=lambda row: _count_of_names(row[1]))
+            return names, [c.strip() for c in cells], line
     return _with_names_above(rows), _labelled_units(rows) or none, rows[0][0]
 
 
@@ -360,7 +441,7 @@ def _are_names_above(rows: Sequence[tuple[int, list[str]]]) -> bool:
     """Whether the second row above the data names a time and more, and the first one nothing: it holds units, known or
     not."""
     low, high = rows[0][1], rows[1][1]
-    is_named = sum(re.search(NAME_WORDS, c) is not None for c in high) >= 2
+    is_named = _count_of_names(high) >= 2
     if is_named and any(converted(c, si) is not None for c in low if c for si in ("K", "W/m2")):
         return True
     return is_named and not any(re.search(NAME_WORDS, c) for c in low) and all(len(c) < 12 for c in low)
