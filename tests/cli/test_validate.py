@@ -119,8 +119,8 @@ def test_a_user_defined_effect_that_does_not_compile_is_an_error(
     ("name", "old", "new", "line"),
     [
         ("logger_layout.toml", 'decimal = ","', 'decimal = ";"', "logger_layout.toml: `decimal`"),
-        ("fit_settings.toml", "[0.0, 0.3]", "[0.0]", "fit_settings.toml, [prior]: `clock.skew`"),
-        ("credibility.toml", "level = 2", "level = 5", "credibility.toml, [[review]]: `level`"),
+        ("fit_settings.toml", "[0.0, 0.3]", "[0.0]", "fit_settings.toml, [prior.clock]: `skew`: [0.0] is not a pair"),
+        ("credibility.toml", "level = 2", "level = 5", "credibility.toml, [review] 1: `level`"),
     ],
 )
 def test_a_file_that_names_no_others_is_checked(
@@ -145,12 +145,12 @@ def test_an_estimate_that_was_changed_is_refused(capsys: pytest.CaptureFixture[s
     assert "closure.json: is a closure report; give an estimate.json" in said
 
 
-@pytest.mark.parametrize(("path", "kind"), [(TILE, "record"), (ROOT / "aircraft_data" / "capsule", "vehicle")])
-def test_reviews_that_cannot_be_read_are_refused(path: Path, kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("path", "name"), [(TILE, "tile"), (ROOT / "aircraft_data" / "capsule", "capsule")])
+def test_reviews_that_cannot_be_read_are_refused(path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """A computation would refuse them with its results."""
-    shutil.copytree(path, kind)
-    shutil.copy(ROOT / "examples" / "credibility.toml", kind)
-    assert main(["validate", kind]) == 0
-    (Path(kind) / "credibility.toml").write_text('format = "credibility/1"\nreviews = 1\n')
-    assert main(["validate", kind]) == 2
-    assert "credibility.toml: `reviews`" in capsys.readouterr().err
+    shutil.copytree(path, name)
+    shutil.copy(ROOT / "examples" / "credibility.toml", name)
+    assert main(["validate", name]) == 0
+    (Path(name) / "credibility.toml").write_text('format = "credibility/1"\nreviews = 1\n')
+    assert main(["validate", name]) == 2
+    assert "credibility.toml: unknown key `reviews`" in capsys.readouterr().err
