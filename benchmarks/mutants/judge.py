@@ -1,8 +1,9 @@
 """Mutants run one after the other in a process that may die, and what became of each.
 
 Good outcomes: `accepted`, with results that are finite everywhere; `refused`, by an InputError whose lines each name a
-file of the case; `failed`, by a RunError of one line. Everything else is a fault: another exception, a warning, a
-number that is not finite, a process that dies, more than 10 s of processor time, a changed input, files left behind.
+file of the case; `failed`, by a RunError of one line that names one too. Everything else is a fault: another
+exception, a warning, a number that is not finite, a process that dies, more than 10 s of processor time, a changed
+input, files left behind.
 """
 
 from __future__ import annotations
@@ -226,7 +227,8 @@ def _judge(home: Path, seed: int, number: int, work: Path, output: Path, longest
     seconds = time.process_time() - begun
     text = output.read_text(errors="replace")
     outcome, message = _outcome(status, text, trace, seconds > longest_s)
-    if outcome == "refused" and not all(names_a_file(line, folder) for line in message.splitlines()):
+    told = message.splitlines() if outcome in ("refused", "failed") and not callable(command) else []
+    if not all(names_a_file(line, folder) for line in told):
         outcome = "names no file"
     if outcome in GOOD:
         fault = _left_fault(status == 0, folder, subject, before, work)

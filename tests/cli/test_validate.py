@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from sim_heating.base.errors import RunError
 from sim_heating.base.files import read_csv_columns, write_csv
 from sim_heating.cli import main
+from sim_heating.inputs.scenario import load_scenario
+from sim_heating.simulation.run import fly_scenario
 from tests.support.gliding import gliding
 from tests.support.paths import ROOT, SCENARIOS, TILE
 
@@ -81,6 +84,13 @@ def test_a_flight_that_leaves_the_atmosphere_is_an_error(capsys: pytest.CaptureF
     )
     assert status == 2
     assert "outside the atmosphere" in error
+
+
+def test_a_flight_that_fails_names_its_scenario() -> None:
+    text = SHORT.replace("velocity_m_s = 6800.0", "velocity_m_s = 12000.0").replace("time_s = 60.0", "time_s = 3000.0")
+    Path("fast.toml").write_text(text)
+    with pytest.raises(RunError, match=r"^fast\.toml: .* outside the atmosphere"):
+        fly_scenario(load_scenario("fast.toml", root=ROOT))
 
 
 def test_a_flight_without_an_end_is_told_which_keys_end_it(capsys: pytest.CaptureFixture[str]) -> None:
