@@ -97,6 +97,7 @@ class ClosedLoop:
         return self.fitted.plot()
 
 
+@one_thread()
 def close_loop(
     record: Record | str | os.PathLike[str],
     parameters: Sequence[str] | None = None,
@@ -220,8 +221,7 @@ def _whole_problem(record: Record, trial: TrialFit) -> FitProblem:
 
 def _residual_after(fitted: FitResult) -> ResidualHeating:
     """What the model of a fit lacks, as heating."""
-    with one_thread():
-        return residual_heating(fitted.problem, fitted.fit.values)
+    return residual_heating(fitted.problem, fitted.fit.values)
 
 
 def refit(result: SearchResult) -> FitResult:
@@ -322,6 +322,7 @@ class JointClosedLoop:
         return residuals_figure(self.report)
 
 
+@one_thread()
 def close_loops(
     records: Sequence[Record | str | os.PathLike[str]],
     parameters: Sequence[str] | None = None,

@@ -26,6 +26,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
+from sim_heating.base.parallel.threads import one_thread
 from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, PRESSURE_FACTOR, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.table import Column, Table
@@ -331,6 +332,7 @@ class FitResult:
         return self.problem.innovations(self.fit.values)
 
 
+@one_thread()
 def estimate(
     records: Record | str | os.PathLike[str] | Sequence[Record | str | os.PathLike[str]],
     parameters: Sequence[str] | None = None,

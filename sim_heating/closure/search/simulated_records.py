@@ -15,11 +15,10 @@ from scipy.special import betaincinv
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.search.trials.trial_fit import TrialFit
-from sim_heating.closure.verdict.adequacy import Adequacy, assess
+from sim_heating.closure.verdict.adequacy import Adequacy, statistics
 from sim_heating.closure.verdict.policy import POLICY
-from sim_heating.estimation.inference.error_likelihood import innovations_of_several
+from sim_heating.estimation.inference.error_likelihood import innovations
 from sim_heating.estimation.inference.likelihood import reading_intervals
-from sim_heating.estimation.inference.model_error import ModelError
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
 
 
@@ -39,8 +38,8 @@ def with_simulated_p_value(
         return adequacy
     rng, larger, made = np.random.default_rng(20261128), 0, 0
     while made < most * members and _may_be(POLICY.adequate_p, larger, made):
-        statistics = _statistics(trial, batch * members, rng)
-        made, larger = made + len(statistics), larger + int(np.count_nonzero(statistics >= adequacy.statistic))
+        of_records = _statistics(trial, batch * members, rng)
+        made, larger = made + len(of_records), larger + int(np.count_nonzero(of_records >= adequacy.statistic))
     return replace(adequacy, p_value=(larger + 1.0) / (made + 1.0), unstructured=False)
 
 
@@ -53,49 +52,46 @@ def _may_be(p: float, larger: int, made: int) -> bool:
 
 def _statistics(trial: TrialFit, count: int, rng: np.random.Generator) -> FloatArray:
     """(record,) statistics of the adequacy of records made with a trial's model, which has an error."""
-    record_fit, size = trial.record_fit, trial.size
-    assert record_fit.model_error is not None  # the caller's model has one
+    record_fit, error, size = trial.record_fit, trial.record_fit.model_error, trial.size
+    assert error is not None  # the caller's model has one
     assert size is not None
-    probability = size.posterior
-    drawn = rng.choice(probability.size, size=count, p=probability.ravel())
-    indices = zip(*np.unravel_index(drawn, probability.shape), strict=True)
-    errors = [
-        record_fit.model_error.of_size(float(size.sizes[k]), float(size.times_s[i]), float(size.scales[j]))
-        for j, i, k in indices
-    ]
-    unknowns = record_fit.error_responses_K[1].shape[1] + len(record_fit.model_error.time_s)
-    u = rng.standard_normal((count, unknowns))
-    fitted = _read(record_fit, trial.problem.samples(trial.fit.values), errors, u, rng)
-    predicted, state = innovations_of_several(record_fit, fitted)
-    others: list[list[PredictedSamples]] = [[] for _ in errors]
+    scale, time, of_heating = np.unravel_index(
+        rng.choice(size.posterior.size, size=count, p=size.posterior.ravel()), size.posterior.shape
+    )
+    unknowns = rng.standard_normal((record_fit.error_responses_K[1].shape[1] + len(error.time_s), count))
+    heating, flight = np.split(unknowns, [len(error.time_s)])
+    for k in np.unique(time):
+        unit = error.of_size(1.0, float(size.times_s[k]))
+        heating[:, time == k] = unit.correlation_root @ heating[:, time == k]
+    heating *= size.sizes[of_heating]
+    flight[: error.flight_K.shape[-1]] *= size.scales[scale] / error.flight_scale
+    fitted, state = innovations(
+        record_fit, _read(record_fit, trial.problem.samples(trial.fit.values), heating, flight, rng)
+    )
+    held_out: list[PredictedSamples] = []
     if trial.held_out is not None and trial.held_out_chi2 > 0.0:
         there = trial.held_out.record_fits[0]
-        read = _read(there, trial.held_out.samples(trial.fit.values), errors, u, rng)
-        others, _ = innovations_of_several(there, read, state)
-    return np.array([assess(*pair).statistic for pair in zip(predicted, others, strict=True)])
+        read = _read(there, trial.held_out.samples(trial.fit.values), heating, flight, rng)
+        held_out, _ = innovations(there, read, state)
+    return statistics(fitted, held_out)
 
 
 def _read(
     record_fit: RecordFit,
     samples: Sequence[PredictedSamples],
-    errors: Sequence[ModelError],
-    u: FloatArray,
+    heating: FloatArray,
+    flight: FloatArray,
     rng: np.random.Generator,
-) -> list[list[PredictedSamples]]:
-    """By error, channels with readings made with it, with noise and as the recorder rounds them.
+) -> list[PredictedSamples]:
+    """Channels with the readings of (record,) records that are made with an error, with noise and as rounded.
 
-    u : (error, unknown) in standard deviations [-]
+    heating : (knot, record) error of the heating [-];  flight : (unknown, record) all else of the error [-]
     """
-    (S, F), own = record_fit.error_responses_K, record_fit.model_error
-    assert own is not None  # the caller's record has one
-    ends, readings, directions = np.cumsum([len(s.mean_K) for s in samples])[:-1], [], own.flight_K.shape[-1]
-    for error, unknowns in zip(errors, u, strict=True):
-        others = unknowns[len(error.time_s) :].copy()
-        others[:directions] *= error.flight_scale / own.flight_scale
-        moved = np.split(S @ error.heating(unknowns) + F @ others, ends)
-        channels = []
-        for s, d in zip(samples, moved, strict=True):
-            read = s.mean_K + d + s.sigma_K * rng.standard_normal(len(s.mean_K))
-            channels.append(replace(s, channel=replace(s.channel, intervals=reading_intervals(s.channel.sensor, read))))
-        readings.append(channels)
-    return readings
+    S, F = record_fit.error_responses_K
+    moved = np.split(S @ heating + F @ flight, np.cumsum([len(s.mean_K) for s in samples])[:-1])
+    channels = []
+    for s, d in zip(samples, moved, strict=True):
+        plain_K = s.mean_K + s.channel.noise_K(s.sigma_K) * rng.standard_normal(d.shape[::-1])
+        read = plain_K.T + d
+        channels.append(replace(s, channel=replace(s.channel, intervals=reading_intervals(s.channel.sensor, read))))
+    return channels

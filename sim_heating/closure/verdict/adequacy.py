@@ -65,20 +65,70 @@ class Adequacy:
 
 @dataclass(frozen=True)
 class _Scores:
-    """Squared scores and information of samples, in the order of time."""
+    """Squared scores and information of samples, in the order of time; of several records where there is a last axis.
+
+    time_s : (sample,);  square, information : (sample,) or (sample, record)
+    """
 
     time_s: FloatArray
     square: FloatArray
     information: FloatArray
 
-    def chi2(self) -> float:
-        """Reduced chi-square [-]; 1 where no sample has any information."""
-        total = float(np.sum(self.information))
-        return float(np.sum(self.square)) / total if total > 0.0 else 1.0
+    def chi2(self) -> FloatArray:
+        """() or (record,) reduced chi-square [-]; 1 where no sample has any information."""
+        total, square = np.sum(self.information, axis=0), np.sum(self.square, axis=0)
+        return np.asarray(np.divide(square, total, out=np.ones_like(total), where=total > 0.0))
 
     def select(self, chosen: Any) -> _Scores:
         """The chosen samples."""
         return _Scores(self.time_s[chosen], self.square[chosen], self.information[chosen])
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """What is judged of one record, or of several that have the channels and times in common.
+
+    by_sensor, by_phase, held_out : their scores, the last empty where nothing is held out
+    lag1, sign_changes : () or (record,), as of `Adequacy`
+    """
+
+    everything: _Scores
+    by_sensor: Mapping[str, _Scores]
+    by_phase: Mapping[str, _Scores]
+    held_out: Mapping[str, _Scores]
+    lag1: FloatArray
+    sign_changes: FloatArray
+
+    @property
+    def parts(self) -> dict[str, _Scores]:
+        """All that is judged by its chi-square, by what it is of."""
+        by_sensor = {f"sensor {n}": s for n, s in self.by_sensor.items()}
+        return {"": self.everything, **by_sensor, **self.by_phase, **self.held_out}
+
+    @property
+    def colour(self) -> FloatArray:
+        """() or (record,) autocorrelation over what the colours of recorders and chance give [-]."""
+        return self.lag1 / (POLICY.noise_colour + self._scatter)
+
+    @property
+    def statistic(self) -> FloatArray:
+        """() or (record,) the largest excess over its scatter [-]."""
+        rho = np.clip(self.lag1, 0.0, POLICY.max_lag1)
+        runs = (0.5 - self.sign_changes) / (0.5 * POLICY.noise_colour + 0.5 * self._scatter)
+        judged = [_excess(s, rho) for s in self.parts.values() if len(s.time_s) >= FEWEST]
+        return np.max(np.stack([*judged, self.colour, runs]), axis=0)
+
+    @property
+    def _scatter(self) -> float:
+        return 1.0 / math.sqrt(max(len(self.everything.time_s), 1))
+
+
+def statistics(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSamples] = ()) -> FloatArray:
+    """(record,) statistics of the adequacy of several records, as `assess` has that of one.
+
+    fitted, held_out : as there, with readings and predictions (sample, record)
+    """
+    return _judged(fitted, held_out).statistic
 
 
 def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSamples] = ()) -> Adequacy:
@@ -86,33 +136,21 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
 
     fitted   : channels at the values found;  held_out : channels of the segments held out, at the same values
     """
-    by_sensor = {s.channel.sensor.name: _scores(s) for s in fitted}
-    everything = _joined(list(by_sensor.values()))
-    lag1, sign_changes = _neighbours(fitted)
-    rho = min(max(lag1, 0.0), POLICY.max_lag1)
-    parts = _parts(everything)
-    chi2 = {"": everything, **{f"sensor {n}": s for n, s in by_sensor.items()}, **parts}
-    if held_out:
-        chi2["held out"] = _joined([_scores(s) for s in held_out])
-    scatter = 1.0 / math.sqrt(max(len(everything.time_s), 1))
-    judged = [_excess(s, rho) for s in chi2.values() if len(s.time_s) >= FEWEST]
-    statistic = max(
-        [
-            *judged,
-            lag1 / (POLICY.noise_colour + scatter),
-            (0.5 - sign_changes) / (0.5 * POLICY.noise_colour + 0.5 * scatter),
-        ]
+    judged = _judged(fitted, held_out)
+    statistic, chi2_fit = float(judged.statistic), judged.everything.chi2()
+    by_sensor, by_phase, others = (
+        {n: float(s.chi2()) for n, s in parts.items()} for parts in (judged.by_sensor, judged.by_phase, judged.held_out)
     )
     return Adequacy(
         p_value=p_value(statistic),
-        chi2_fit=everything.chi2(),
-        chi2_holdout=chi2["held out"].chi2() if held_out else None,
-        lag1=lag1,
-        sign_changes=sign_changes,
-        by_sensor={n: s.chi2() for n, s in by_sensor.items()},
-        by_phase={n: s.chi2() for n, s in parts.items()},
+        chi2_fit=float(chi2_fit),
+        chi2_holdout=next(iter(others.values()), None),
+        lag1=float(judged.lag1),
+        sign_changes=float(judged.sign_changes),
+        by_sensor=by_sensor,
+        by_phase=by_phase,
         statistic=statistic,
-        unstructured=lag1 <= POLICY.noise_colour + scatter and all(_is_even(s, everything) for s in chi2.values()),
+        unstructured=bool(judged.colour <= 1.0) and all(_is_even(s, judged.everything) for s in judged.parts.values()),
     )
 
 
@@ -158,9 +196,22 @@ def p_value(statistic: float, statistics: FloatArray | None = None) -> float:
     return math.exp(-(statistic - largest) / float(np.mean(tail - tail[0]))) / (len(statistics) + 1.0)
 
 
-def _scores(samples: PredictedSamples) -> _Scores:
-    scored = likelihood(samples.channel.intervals, samples.mean_K, samples.spread_K)
-    return _Scores(np.asarray(samples.time_s), scored.score**2, scored.information)
+def _judged(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSamples]) -> _Judged:
+    """What is judged of the channels of one record or of several."""
+    by_sensor = {s.channel.sensor.name: _scores(s) for s in fitted}
+    scored = {n: scores for n, (scores, _) in by_sensor.items()}
+    everything = _joined(list(scored.values()))
+    others = {"held out": _joined([_scores(s)[0] for s in held_out])} if held_out else {}
+    neighbours = _neighbours(fitted, [z for _, z in by_sensor.values()])
+    return _Judged(everything, scored, _parts(everything), others, *neighbours)
+
+
+def _scores(samples: PredictedSamples) -> tuple[_Scores, FloatArray]:
+    """Squared scores of a channel, and its normalised residuals in the shape of the predictions [-]."""
+    spread_K = samples.spread_K.reshape(-1, *[1] * (samples.mean_K.ndim - 1))
+    scored = likelihood(samples.channel.intervals, samples.mean_K, spread_K)
+    known = np.where(scored.information > 0.0, scored.information, np.inf)
+    return _Scores(np.asarray(samples.time_s), scored.score**2, scored.information), scored.score / np.sqrt(known)
 
 
 def _joined(scores: Sequence[_Scores]) -> _Scores:
@@ -183,27 +234,31 @@ def _parts(everything: _Scores, *, part_count: int = 8) -> dict[str, _Scores]:
     return phases
 
 
-def _excess(scores: _Scores, rho: float) -> float:
+def _excess(scores: _Scores, rho: FloatArray) -> FloatArray:
     """Excess chi-square over its scatter."""
     n = max(len(scores.time_s), 1)
-    scatter = math.sqrt(2.0 * (1.0 + rho**2) / ((1.0 - rho**2) * n))
-    return (scores.chi2() - 1.0) / (POLICY.model_error_chi2 + scatter)
+    scatter = np.sqrt(2.0 * (1.0 + rho**2) / ((1.0 - rho**2) * n))
+    return np.asarray((scores.chi2() - 1.0) / (POLICY.model_error_chi2 + scatter))
 
 
 def _is_even(scores: _Scores, everything: _Scores) -> bool:
     """Whether the chi-square of a part is not far above that of the whole record."""
     n = len(scores.time_s)
-    return n < FEWEST or scores.chi2() <= everything.chi2() * (1.0 + POLICY.uneven_chi2 + 3.0 * math.sqrt(2.0 / n))
+    largest = float(everything.chi2()) * (1.0 + POLICY.uneven_chi2 + 3.0 * math.sqrt(2.0 / max(n, 1)))
+    return n < FEWEST or float(scores.chi2()) <= largest
 
 
-def _neighbours(everything: Sequence[PredictedSamples]) -> tuple[float, float]:
-    """Autocorrelation of neighbouring normalised residuals within each channel, and the share that changes sign [-]."""
-    products, squares, changes, pairs = 0.0, 0.0, 0, 0
-    for s in everything:
-        score = likelihood(s.channel.intervals, s.mean_K, s.spread_K)
-        z = score.score / np.sqrt(np.where(score.information > 0.0, score.information, np.inf))
-        products, squares = products + float(z[1:] @ z[:-1]), squares + float(z @ z)
-        if s.channel.sensor.lsb_K > s.sigma_K:
-            continue  # the sign of a coarse word's residual is that of the place within the word, for many samples
-        changes, pairs = changes + int(np.count_nonzero(z[1:] * z[:-1] < 0.0)), pairs + len(z) - 1
-    return products / squares if squares > 0.0 else 0.0, changes / pairs if pairs > 0 else 0.5
+def _neighbours(fitted: Sequence[PredictedSamples], residuals: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Autocorrelation of neighbouring normalised residuals within each channel, and the share that changes sign [-].
+
+    residuals : by channel, (sample,) or (sample, record)
+    """
+    products = np.sum([np.sum(z[1:] * z[:-1], axis=0) for z in residuals], axis=0)
+    squares = np.sum([np.sum(z**2, axis=0) for z in residuals], axis=0)
+    lag1 = np.divide(products, squares, out=np.zeros_like(squares), where=squares > 0.0)
+    # the sign of a coarse word's residual is that of the place within the word, for many samples
+    fine = [z for s, z in zip(fitted, residuals, strict=True) if s.channel.sensor.lsb_K <= s.sigma_K]
+    pairs = sum(len(z) - 1 for z in fine)
+    if pairs <= 0:
+        return lag1, np.full_like(lag1, 0.5)
+    return lag1, np.sum([np.count_nonzero(z[1:] * z[:-1] < 0.0, axis=0) for z in fine], axis=0) / pairs

@@ -303,42 +303,25 @@ def innovations(
 ) -> tuple[list[PredictedSamples], ErrorState | None]:
     """Predictions of the readings of one record, each from those before it, and what is then known of its error.
 
-    record_fit : the record with its error;  samples : its channels, predicted without an error
+    record_fit : the record with its error
+    samples    : its channels, predicted without an error, with readings (reading,) or of several sets (reading, set)
     state      : from readings before; None for the prior
-    root_K     : as in `innovations_of_several`
-    returns    : channels with the mean and the standard deviation that the readings before give [K]; as they are
-                 without an error
+    root_K     : (reading, unknown) of more unknowns than those of the error, which are N(0, 1) before the readings [K]
+    returns    : channels with the mean and the standard deviation that the readings before give [K], the mean in the
+                 shape of the readings; as they are without an error
 
-    A rounded reading counts as one with the noise of its rounding. Source: docs/theory/model_error.md, equation 6.
+    A rounded reading counts as one with the noise of its rounding. A reading at an end of a word's span in any set
+    informs none. Source: docs/theory/model_error.md, equation 6.
     """
-    if record_fit.error_root_K is None:
+    G, noise = record_fit.error_root_K, record_fit.reading_noise_K
+    if G is None:
         return list(samples), None
-    (predicted,), error_state = innovations_of_several(record_fit, [samples], state, root_K)
-    return predicted, error_state
-
-
-def innovations_of_several(
-    record_fit: RecordFit,
-    sets: Sequence[Sequence[PredictedSamples]],
-    state: ErrorState | None = None,
-    root_K: FloatArray | None = None,
-) -> tuple[list[list[PredictedSamples]], ErrorState]:
-    """Predictions of several sets of readings of one record, each from those before it; nothing else differs.
-
-    sets    : of readings, each its channels;  state : from readings before, with means (unknown, set)
-    root_K  : (reading, unknown) of more unknowns than those of the error, which are N(0, 1) before any of the sets [K]
-    returns : by set, channels with mean and standard deviation [K]; what is then known of the error
-
-    A reading at an end of a word's span in any set informs none. Source: docs/theory/model_error.md, equation 6.
-    """
-    G, noise, samples = record_fit.error_root_K, record_fit.reading_noise_K, sets[0]
-    assert G is not None  # the caller's record has an error
     mean_K = np.concatenate([s.mean_K for s in samples])
-    read = np.array([np.concatenate([_middle_K(s.channel.intervals) for s in channels]) for channels in sets]).T
+    read = np.concatenate([_middle_K(s.channel.intervals) for s in samples])
+    shape, read = read.shape, read.reshape(len(read), -1)
     time_s = np.concatenate([record_fit.sample_s[s.channel.samples] for s in samples])
     n = G.shape[1]
-    u, P = (np.zeros((n, len(sets))), np.eye(n)) if state is None else (state.mean, state.covariance)
-    u = u.reshape(n, -1)
+    u, P = (np.zeros((n, read.shape[1])), np.eye(n)) if state is None else (state.mean, state.covariance)
     if root_K is not None:
         G = np.column_stack([G, root_K])
         u, P = np.pad(u, [(0, root_K.shape[1]), (0, 0)]), block_diag(P, np.eye(root_K.shape[1]))
@@ -360,17 +343,10 @@ def innovations_of_several(
         variance[informed] = sigma_left**2 - noise[informed] ** 2
         gain = solve_triangular(lower, across.T, lower=True)
         u, P = u + gain.T @ white, P - gain.T @ gain
-    sigma = np.split(np.sqrt(np.maximum(variance, 0.0)), np.cumsum([len(s.mean_K) for s in samples])[:-1])
-    by_set = [
-        [
-            replace(s, mean_K=m, predicted_sigma_K=d)
-            for s, m, d in zip(
-                channels, np.split(means, np.cumsum([len(s.mean_K) for s in channels])[:-1]), sigma, strict=True
-            )
-        ]
-        for channels, means in zip(sets, predicted.T, strict=True)
-    ]
-    return by_set, ErrorState(u, P)
+    ends = np.cumsum([len(s.mean_K) for s in samples])[:-1]
+    means, sigmas = np.split(predicted.reshape(shape), ends), np.split(np.sqrt(np.maximum(variance, 0.0)), ends)
+    channels = [replace(s, mean_K=m, predicted_sigma_K=d) for s, m, d in zip(samples, means, sigmas, strict=True)]
+    return channels, ErrorState(u, P)
 
 
 def parameter_root_K(
