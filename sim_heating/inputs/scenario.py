@@ -221,6 +221,11 @@ class Compare(Declared):
     until_s: float | None = Field(default=None, description="end of the comparison in s, all where absent")
     fit_s: list[list[float]] | None = Field(default=None, description="fit segments of a record made of it, in s")
     holdout_s: list[list[float]] = Field(default=[], description="segments that are held out there, in s")
+    noise_correlation_s: float | None = Field(
+        default=None,
+        gt=0.0,
+        description="time over which the errors of its rows change, for that record; white without",
+    )
     source: str = Field(default="", description="where the history comes from, for the record made of it")
     confidence: str = Field(default="", description="A read in a data set, B known from the literature, C judged")
 
@@ -372,6 +377,7 @@ class MeasuredHistory:
     """A measured history to compare with: (sample,) times [s] and temperatures [K] with their sigma [K].
 
     segments : fit and holdout segments of the record made from it
+    noise_correlation_s : time over which the errors of its rows change [s]; None where these are independent
     source, confidence : of the history, as stated; empty where they are not
     """
 
@@ -381,6 +387,7 @@ class MeasuredHistory:
     temperature_K: np.ndarray
     sigma_K: np.ndarray
     segments: Segments = field(default_factory=Segments)
+    noise_correlation_s: float | None = None
     source: str = ""
     confidence: str = ""
 
@@ -687,6 +694,7 @@ def _measured_history(compare: Compare, file: Path) -> MeasuredHistory:
         compare.label,
         **columns,
         segments=segments,
+        noise_correlation_s=compare.noise_correlation_s,
         source=compare.source,
         confidence=compare.confidence,
     )

@@ -61,9 +61,11 @@ def _record(scenario: Scenario, measured: MeasuredHistory, flown: Conditions) ->
             "history is that of one"
         )
     # A published curve has no recorder: no words, no rate. Its noise is the error of reading the figure.
-    sensor = point.sensors[0].model_copy(
-        update={"bits": None, "range_K": None, "rate_hz": None, "noise_sigma_K": float(np.median(measured.sigma_K))}
-    )
+    noise = {
+        "noise_sigma_K": float(np.median(measured.sigma_K)),
+        "noise_correlation_s": measured.noise_correlation_s,
+    }
+    sensor = point.sensors[0].model_copy(update={"bits": None, "range_K": None, "rate_hz": None, **noise})
     declared = declaration(scenario, point, [sensor])
     title = f"{measured.label}: {scenario.title}"
     stated: dict[str, str] = (

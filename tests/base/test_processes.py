@@ -208,7 +208,7 @@ def test_a_process_that_may_use_one_core_shares_nothing_out():
     assert ended.returncode == 0, ended.stderr
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     "deed",
     [

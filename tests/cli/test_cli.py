@@ -267,13 +267,13 @@ def test_a_file_of_other_origin_is_never_overwritten(workdir: Path, capsys: pyte
     assert [p.name for p in (workdir / "out").iterdir()] == ["summary.json"]
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     "command",
     [
+        ["predict", str(TILE)],
         ["run", "popu.toml"],
         ["synthesize", "short.toml"],
-        ["predict", str(TILE)],
         ["estimate", str(TILE)],
         ["estimate", str(TILE), "--process-noise", "0.2", "--ratio-noise", "0.01,30"],
         ["estimate", str(TILE), "--segments", "60"],
@@ -335,7 +335,7 @@ def test_a_flight_out_of_the_atmosphere_fails_with_status_1(workdir: Path, capsy
     assert not (workdir / "out").exists()
 
 
-@pytest.mark.sample(1)
+@pytest.mark.thorough
 @posix
 @pytest.mark.parametrize("number", [signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)])
 def test_an_interrupted_run_leaves_nothing_behind(workdir: Path, number: signal.Signals) -> None:
@@ -415,6 +415,7 @@ def test_a_control_point_named_twice_is_refused(workdir: Path, capsys: pytest.Ca
     assert "`V09T9527` is repeated" in only_line(capsys)
 
 
+@pytest.mark.thorough
 def test_a_manoeuvre_whose_trigger_is_never_met_is_reported(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (workdir / "fast.toml").write_text(SHORT + POPU + "at_velocity_m_s = 3000.0\n")
     assert main(["run", "fast.toml", "--out", "out"]) == 0
@@ -431,7 +432,7 @@ def test_a_flight_is_read_back_from_its_own_conditions(workdir: Path, first: Pat
     assert [float(x) for x in again] == pytest.approx([float(x) for x in before], abs=0.001)
 
 
-@pytest.mark.sample(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize(("column", "factor"), [("velocity_m_s", 1.0 / 0.3048), ("altitude_m", 1e-3)])
 def test_a_recorded_flight_in_another_unit_is_refused(
     workdir: Path, first: Path, capsys: pytest.CaptureFixture[str], column: str, factor: float

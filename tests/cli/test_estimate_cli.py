@@ -42,22 +42,32 @@ clock_skew_s = {skew_s}
 [truth]
 parameters = {{ "ratio.scale" = 0.15, "ratio.d_alpha" = 0.0006 }}
 """
-FLIGHTS = {
-    "first": gliding(160.0, PLUG, altitude_m=74000.0, vehicle="orbiter") + POPU.format(seed=1, skew_s=0.0),
+FIRST = gliding(160.0, PLUG, altitude_m=74000.0, vehicle="orbiter") + POPU.format(seed=1, skew_s=0.0)
+OTHERS = {
     "second": gliding(160.0, PLUG, altitude_m=70000.0, velocity_m_s=6000.0, vehicle="orbiter")
     + POPU.format(seed=2, skew_s=SKEW_S),
     "both": gliding(160.0, PLUG, POD, altitude_m=74000.0, vehicle="orbiter") + POPU.format(seed=3, skew_s=0.0),
 }
 
 
+def synthesize(home: Path, name: str, text: str) -> None:
+    (home / f"{name}.toml").write_text(text)
+    assert main(["synthesize", str(home / f"{name}.toml"), "--out", str(home / name)]) == 0
+
+
 @pytest.fixture(scope="module")
 def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three synthesized flights whose truth differs from the Orbiter's tables."""
+    """A synthesized flight, `first`, whose truth differs from the Orbiter's tables."""
     home = tmp_path_factory.mktemp("flown_records")
-    for name, text in FLIGHTS.items():
-        (home / f"{name}.toml").write_text(text)
-        assert main(["synthesize", str(home / f"{name}.toml"), "--out", str(home / name)]) == 0
+    synthesize(home, "first", FIRST)
     return home
+
+
+@pytest.fixture(scope="module")
+def others(flown_records: Path) -> None:
+    """Two more of them: a second flight, and one with records of two points."""
+    for name, text in OTHERS.items():
+        synthesize(flown_records, name, text)
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +94,8 @@ def error_in_sigma(parameter: dict[str, Any], true: float) -> float:
     return abs(parameter["value"] - true) / parameter["sigma"]
 
 
+@pytest.mark.thorough
+@pytest.mark.usefixtures("others")
 def test_from_a_scenario_to_a_better_prediction_by_commands_alone(
     workdir: Path, fit_of_first: Path, tmp_path: Path
 ) -> None:
@@ -138,6 +150,7 @@ def test_progress_is_reported_by_iteration(workdir: Path, tmp_path: Path, capsys
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("others")
 def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(
     workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -162,6 +175,7 @@ def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("others")
 def test_two_points_of_one_flight_have_a_ratio_each(workdir: Path) -> None:
     records = [f"both/{PLUG}", f"both/{POD}"]
     found = estimate_contents(sh.estimate(records, list(TRUTH)))
@@ -186,6 +200,7 @@ def test_a_segment_can_be_given_without_changing_the_record(workdir: Path, tmp_p
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("others")
 def test_each_flight_has_its_own_segment_and_start(workdir: Path, tmp_path: Path) -> None:
     own = ["--fit", "80,130@first", "--fit", "60,120", "--start", "circuit:70@second"]
     found = estimate("first", "second", "--parameters", "ratio.scale", *own, out=tmp_path / "fit")
@@ -240,6 +255,7 @@ ratio.scale = [0.0, 1.0]
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("others")
 def test_fixed_values_and_priors_come_from_file_and_command_line(
     workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -261,6 +277,8 @@ def test_fixed_values_and_priors_come_from_file_and_command_line(
     assert "[fixed]: ratio.d_alpha was fixed at 0.0006" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
+@pytest.mark.usefixtures("others")
 def test_a_clock_that_is_known_is_fixed(workdir: Path) -> None:
     found = sh.estimate("second", list(TRUTH), fixed={"clock.skew": SKEW_S})
     assert found.after[0].segment_errors()["fit"]["rmse_K"] == pytest.approx(1.36, rel=0.1)  # the noise floor
@@ -268,6 +286,7 @@ def test_a_clock_that_is_known_is_fixed(workdir: Path) -> None:
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("others")
 def test_one_coating_of_two_points_is_tied(workdir: Path) -> None:
     coating, records = "stack.coating.thickness_factor", [f"both/{PLUG}", f"both/{POD}"]
     names, flat = ["ratio.scale", "ratio.d_alpha", coating], {coating: (1.0, math.inf)}

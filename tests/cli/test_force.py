@@ -73,7 +73,7 @@ def occupied(command: str, name: str) -> Path:
     return mine
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize(("command", "name"), QUICK, ids=[c.split(" --")[0] for c, _ in QUICK])
 def test_a_file_of_another_is_replaced_with_force_alone(

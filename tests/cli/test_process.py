@@ -209,6 +209,7 @@ def test_the_exit_status_does_not_depend_on_who_reads(workdir: Path, redirection
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.sample(1)
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a system without a full device")
 @pytest.mark.parametrize("arguments", [("--help",), ("validate", "short.toml")])
 def test_an_output_that_is_full_is_named(workdir: Path, arguments: tuple[str, ...]) -> None:

@@ -15,21 +15,21 @@ from sim_heating.base.files import read_json
 from sim_heating.cli import main
 from tests.support.gliding import gliding
 from tests.support.json_output import run_json
-from tests.support.paths import PRACTICE
+from tests.support.paths import TILE
 
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(PRACTICE / "p06", tmp_path / "p06")
+    shutil.copytree(TILE, tmp_path / "tile")
     return tmp_path
 
 
 def test_a_prediction_repeated_has_the_same_bytes(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["predict", "p06", "--out", "out", "--quiet"]) == 0
+    assert main(["predict", "tile", "--out", "out", "--quiet"]) == 0
     block = read_json("out/summary.json")["provenance"]
-    assert block["command"] == ["predict", "p06"]
-    assert set(block["inputs"]) == {"p06"}
+    assert block["command"] == ["predict", "tile"]
+    assert set(block["inputs"]) == {"tile"}
     assert {"sim-heating", "python", "numpy"} <= set(block["versions"])
     found = run_json(capsys, "reproduce", "out")
     assert found["results"]["differences"] == []
@@ -38,22 +38,22 @@ def test_a_prediction_repeated_has_the_same_bytes(home: Path, capsys: pytest.Cap
 
 @pytest.mark.thorough
 def test_a_changed_input_and_what_it_changes_are_named(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["predict", "p06", "--out", "out", "--quiet"]) == 0
-    record = home / "p06" / "record.toml"
-    changed = re.sub(r"(?m)^initial_K = .*$", "initial_K = 320.0", text := record.read_text())
+    assert main(["predict", "tile", "--out", "out", "--quiet"]) == 0
+    record = home / "tile" / "record.toml"
+    changed = re.sub(r"(?m)^initial_profile = .*$", "initial_profile = [[0.0, 320.0]]", text := record.read_text())
     assert changed != text
     record.write_text(changed)
     capsys.readouterr()
     assert main(["reproduce", "out/summary.json"]) == 1
     printed = capsys.readouterr().out
-    assert "input p06: was changed since" in printed
+    assert "input tile: was changed since" in printed
     assert "summary.json: fit.rmse_K: " in printed
 
 
 def test_a_result_written_from_python_states_no_command(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import sim_heating as sh
 
-    sh.write_prediction(sh.predict("p06"), "out")
+    sh.write_prediction(sh.predict("tile"), "out")
     assert read_json("out/summary.json")["provenance"]["command"] is None
     assert main(["reproduce", "out"]) == 2
     assert "written from Python, and states no command" in capsys.readouterr().err
@@ -78,6 +78,6 @@ def test_a_run_repeated_has_the_same_bytes_and_netcdf(home: Path, capsys: pytest
 
 @pytest.mark.thorough
 def test_v_logs_what_is_written_to_standard_error(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["predict", "p06", "--out", "out", "-v"]) == 0
+    assert main(["predict", "tile", "--out", "out", "-v"]) == 0
     assert "INFO sim_heating.base.files.results: predict: wrote" in capsys.readouterr().err
     assert not [h for h in logging.getLogger("sim_heating").handlers if not isinstance(h, logging.NullHandler)]

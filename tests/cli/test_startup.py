@@ -43,7 +43,7 @@ def packages_loaded(*arguments: str) -> set[str]:
     return set(packages)
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     "arguments",
     [

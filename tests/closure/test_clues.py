@@ -119,6 +119,7 @@ def with_axial(relative: float, at_s: float) -> Record:
     )
 
 
+@pytest.mark.thorough
 def test_an_axial_force_without_noise_has_a_step_of_probability_one() -> None:
     """Coefficients that are constant to rounding: a step improves the fit by less than rounding, or worsens it."""
     record = residual_with("nothing")[0].record
@@ -138,6 +139,7 @@ def test_a_step_in_axial_acceleration_is_found_in_time_and_size():
     assert found[0].p_value < 1e-6
 
 
+@pytest.mark.thorough
 def test_a_step_of_a_simulated_flight_too_small_for_a_transition_is_no_evidence_of_one():
     """Columns without an accelerometer's noise make any kink of a simulation certain."""
     found = axial_steps(with_axial(0.006, 1100.3))

@@ -123,6 +123,7 @@ def test_a_change_that_promises_little_of_what_is_known_is_not_fitted():
     assert fit_changes(base, [fits[0].change], best_gain=1e4) == []
 
 
+@pytest.mark.thorough
 def test_the_model_on_the_changed_record_has_the_likelihood_of_the_fit():
     fit = in_thin_air()[1][0]
     at_fit = fit.problem.evaluate(fit.fit.values).log_likelihood

@@ -173,6 +173,7 @@ def cause_that_predicts_worse(none, lost):
     return hypothesis([shifted(brentq(lambda by: loss(by) - lost, 0.1, 1000.0, xtol=1e-3))], {"catalysis": 1})
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("stated", "odds"), [(None, np.e), (HeatingUncertainty(relative=0.02), 20.0)])
 def test_readings_held_out_speak_against_a_cause_from_stated_odds_on(stated, odds):
     """An exact model may predict them worse by a factor of e, one with an error by 20: its predictions scatter."""
@@ -213,6 +214,7 @@ def test_a_flight_without_an_error_is_the_stated_one():
         np.testing.assert_allclose(after[name], before[name], rtol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("later_s", [1.9, -2.6])
 def test_a_clock_within_its_uncertainty_is_an_error_of_the_flight(later_s):

@@ -60,7 +60,7 @@ def stuck() -> np.ndarray:
     return np.where(TIME_S < 230.0, READ["LS_surface"], READ["LS_surface"][at])
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("record", "what"),
     [

@@ -53,7 +53,7 @@ def test_every_layer_may_differ_except_in_what_an_effect_is_named_after():
     assert not {"stack.li900.conductivity_factor", "stack.rcg.thickness_factor"} & changes
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("change", layer_changes(TILE), ids=lambda c: c.what)
 def test_a_changed_record_is_the_model_with_the_parameter(change):
     model = point_of_record(TILE).with_parameters({change.parameter.name: 1.3})

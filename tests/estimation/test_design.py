@@ -136,6 +136,7 @@ def test_a_known_parameter_gains_less_than_an_unknown_one():
     assert found["ratio.d_alpha"]["larger"] == pytest.approx(np.sqrt(2.0 / 5.0))
 
 
+@pytest.mark.thorough
 def test_longer_words_faster_samples_and_better_clocks_never_hurt(planned_experiment):
     def bound(e: Experiment) -> float:
         return float(e.sigma((D_ALPHA,))[0])
@@ -175,6 +176,7 @@ def test_locations_are_ranked_by_their_bounds_over_their_ratios(planner: Planner
     assert locations(planner, planned) == []
 
 
+@pytest.mark.thorough
 def test_a_location_without_a_thermocouple_has_one_below_its_coating(planner: Planner, planned: PlannedFlight) -> None:
     vehicle = planner.scenario.vehicle
     bare = replace(vehicle.control_point("LOWER_MID"), sensors=())

@@ -179,6 +179,7 @@ def test_the_response_is_that_of_a_march_with_other_heating(problem):
     assert np.max(np.abs(moved - linear)) < 0.03 * np.max(np.abs(moved))
 
 
+@pytest.mark.thorough
 def test_the_size_of_an_error_is_found_from_readings_made_with_it(problem):
     part, rng = problem.record_fits[0], np.random.default_rng(5)
     samples, prior = problem.samples(AT), HeatingErrorPrior(0.05, 60.0, 600.0)

@@ -27,6 +27,7 @@ def test_scale_and_derivatives_are_within_their_95_percent_bounds(fitted: tuple[
     assert np.all(np.abs(error) < fit.bounds.half_width())
 
 
+@pytest.mark.sample(1)
 def test_the_residual_is_the_noise_floor_in_fit_and_holdout(fitted: tuple[str, FitResult]) -> None:
     result = estimate_contents(fitted[1])
     assert result.fit is not None

@@ -126,6 +126,7 @@ def test_sensitivities_behind_a_lag_are_those_of_differences():
                 assert np.max(np.abs(s.jacobian[:, k] - difference)) < 1e-3 * max(size, 1e-9), unknown.label
 
 
+@pytest.mark.thorough
 def test_time_constant_and_skew_are_found_together_from_a_manoeuvre():
     found = estimate(surface_record(), ["ratio.scale", "clock.skew", "sensors.tau_s"])
     for name, true in (("sensors.tau_s", TAU_S), ("clock.skew", 0.0), ("ratio.scale", 0.0)):

@@ -45,6 +45,7 @@ def test_lead_beyond_the_bound_is_reported_as_a_clock_error():
     assert any("estimate clock.skew as well" in line for line in fit.warnings)
 
 
+@pytest.mark.thorough
 def test_skew_and_coating_together_are_within_their_bounds_and_correlated():
     fit = both_estimated()
     assert off(fit, CLOCK_SKEW.name, 0.3) < BOUND

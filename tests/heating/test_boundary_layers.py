@@ -68,8 +68,9 @@ def test_fay_riddell_is_2_to_5_percent_above_the_boundary_layer_at_its_wall_of_3
 LINES = [(1200.0, 0.05, 222.0), (2500.0, 2e-3, 265.0), (4500.0, 3.1e-4, 247.0), (8000.0, 2.5e-5, 200.0)]
 
 
+@pytest.mark.sample(5)
 @pytest.mark.parametrize(("V", "rho", "T_inf"), LINES)
-@pytest.mark.parametrize("sweep_deg", [0.0, 30.0, 45.0, 60.0])
+@pytest.mark.parametrize("sweep_deg", [60.0, 0.0, 30.0, 45.0])
 def test_a_swept_cylinder_is_within_1_5_percent_of_its_boundary_layer(V, rho, T_inf, sweep_deg):
     sweep = math.radians(sweep_deg)
     p_0, h_e, rho_0, p = stagnation_kernel(rho, V * math.cos(sweep), T_inf)
@@ -91,6 +92,7 @@ def test_an_unswept_line_is_the_plane_stagnation_point():
 PLATES = [(70e3, 7000.0, 25.0), (70e3, 6300.0, 40.0), (66e3, 5500.0, 40.0), (57e3, 3900.0, 40.0), (49e3, 2650.0, 40.0)]
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(("altitude_m", "V", "alpha_deg"), [*PLATES, (40e3, 2000.0, 25.0), (30e3, 1000.0, 5.0)])
 def test_eckert_is_within_3_percent_of_the_laminar_plate(altitude_m, V, alpha_deg):
     T_inf, _, rho = us76_kernel(altitude_m)

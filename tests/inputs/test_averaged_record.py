@@ -20,7 +20,8 @@ COLUMN = TILE.sensors[0].column
 
 def dense(T, sigma: float | None = 2.0, segments: Segments | None = None) -> Record:
     """The tile's record with other readings [K] at many times."""
-    sensor = TILE.sensors[0].model_copy(update={"noise_sigma_K": sigma})
+    white = {"noise_sigma_K": sigma, "noise_correlation_s": None}
+    sensor = TILE.sensors[0].model_copy(update=white)
     declared = TILE.declared.model_copy(update={"segments": segments or Segments()})
     record = replace(TILE, declared=declared, thermocouples={"time_s": TIMES, COLUMN: T})
     return record.with_sensors([sensor])

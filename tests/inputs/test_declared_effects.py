@@ -84,6 +84,7 @@ def test_the_declared_model_predicts_the_record_of_its_own_flight(record: Record
     assert errors["rmse_K"] < 1.1 * record.noise_floor_K()
 
 
+@pytest.mark.thorough
 def test_an_onset_that_differs_from_its_declaration_is_found_by_a_fit(earlier: Record) -> None:
     before = predict(earlier).segment_errors()["fit"]["rmse_K"]
     fit = estimate(earlier, ["effect.transition.log10_re_onset"])

@@ -56,6 +56,7 @@ def sts2() -> RunResult:
     return run(scenario("sts2"))
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("name", NAMES)
 def test_a_stored_scenario_is_valid_and_states_its_purpose(name: str) -> None:
     read = scenario(name)
@@ -73,7 +74,7 @@ def test_manoeuvres_are_flown_at_the_speeds_of_their_names(name: str) -> None:
         assert speed == approx(mach * SHUTTLE_MACH_M_S, abs=5.0)
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["entry_3dof", "capsule", "recorded_sts107"])
 def test_a_quick_scenario_runs_and_is_measured(name: str) -> None:
     chosen = scenario(name)
@@ -97,6 +98,7 @@ def test_the_sts2_flight_answers_its_manoeuvres_as_the_flight_did(sts2: RunResul
     assert moves("V09T9527", 0) < 1.0  # where no angle of attack moves, the lower surface does not
 
 
+@pytest.mark.thorough
 def test_the_jsbsim_flight_and_its_3dof_twin_pass_the_popu_together(sts2: RunResult) -> None:
     twin = fly_scenario(in_3dof(scenario("sts2")))
     for here, there in zip(sts2.flight.windows, twin.windows, strict=True):
@@ -144,6 +146,7 @@ def test_on_the_plateau_the_declared_model_gives_the_radiated_heat_of_two_tiles_
             assert 0.4 < radiated < 0.6
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("tile", ["sts96_468", "sts96_480", "sts96_597", "sts96_730"])
 def test_after_transition_the_declared_turbulent_heating_explains_most_of_what_a_laminar_one_lacks(tile: str) -> None:
     record = load_record(FOLDER / "records" / tile)

@@ -236,6 +236,7 @@ def between(source, futures, now, share: float) -> float:
     return low + share * (high - low)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("share", [0.3, 0.7])
 def test_the_latest_stop_is_that_of_trying_every_one(source, futures, now, share) -> None:
     limits = {POINT: {"surface_K": between(source, futures, now, share)}}

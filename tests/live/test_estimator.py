@@ -163,6 +163,7 @@ def test_final_estimate_of_a_record_without_an_effect_is_that_of_a_fit(name):
         assert found[n][1] == pytest.approx(fit[n][1], rel=0.15)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("at_once", [7, 1000])
 def test_samples_that_pile_up_give_the_same_bits(in_order, at_once):
     assert_same_bits(feed(estimator(), samples(), at_once), in_order)

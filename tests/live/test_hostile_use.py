@@ -19,6 +19,7 @@ def test_killed_link_loses_nothing_and_refuses_another_link_file():
     assert set(found.values()) == {0}, found
 
 
+@pytest.mark.thorough
 def test_hostile_packets_take_nothing_from_the_flight_between_them():
     found = hostile_packets(200, print, seed=3)
     assert found.pop("packets") == 200

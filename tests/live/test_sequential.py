@@ -67,6 +67,7 @@ def test_correlated_innovations_raise_an_alarm_at_the_right_variance() -> None:
     assert first_alarm_s(z, 1.0, 0.01) < 300.0
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(("share", "tau_s"), [(0.15, 3.0), (0.25, 5.0)])
 def test_slightly_coloured_noise_raises_no_more_alarms_than_stated(share: float, tau_s: float) -> None:

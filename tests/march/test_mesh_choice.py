@@ -141,6 +141,7 @@ def trial(film: bool) -> Heating:
     return heating
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", WALLS)
 def test_a_finer_mesh_confirms_the_stated_error_on_the_trial_heatings(name):
     model = model_of(name)
@@ -165,6 +166,7 @@ def test_full_heating_of_a_cold_wall_at_once_is_harder_than_the_trials(name, hea
     assert true_error_K(model, mesh, flown(model, heating)) < (0.7 if name == "coated tile" else 1.5)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["p06", "p07"])
 def test_stated_error_on_the_entry_of_a_record(name):
     model, flight = practice_model(name), practice_record(name)[0].conditions

@@ -98,6 +98,7 @@ def test_the_heating_limit_costs_cross_range_and_is_kept(betts_flights):
     assert flights["limited"][1].goal < flights["free"][1].goal
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("share", [0.97, 1.03])
 def test_no_other_duration_reaches_farther(betts_flights, share):
     problem, flights = betts_flights

@@ -95,7 +95,7 @@ def fmu_temperatures(host: Host, given: list[Frame], outputs: Sequence[str] = SU
 # Numbers -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.thorough), 3])
 def test_fmpy_validates_the_fmu_without_a_problem(fmus, fmi):
     assert validate_fmu(fmus[fmi]) == []
     assert all(unit.baseUnit for unit in fmpy.read_model_description(fmus[fmi]).unitDefinitions)
@@ -109,6 +109,7 @@ def test_whole_entry_with_a_popu_has_the_bits_of_the_simulator(fmus, vehicle, fl
         np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(vehicle, given))
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("step_s", [1.0, 3.0])
 def test_a_point_behind_an_interface_has_the_bits_of_the_simulator(vehicle, flown, tmp_path, step_s):
     given, name = frames(flown, step_s, 500.0), "NOSE_HRSI"
@@ -532,11 +533,12 @@ KERNELS = {
         "raises, prints or allocates memory",
     ),
     "unknown": ("return math.nosuch(wall_K)", "cannot be compiled: module 'math' has no attribute 'nosuch'"),
-    "prints": ("print(wall_K)\n    return 1.0", "raises, prints or allocates memory"),
     "of-numba": ("return math.gamma(wall_K)", "needs numba_gamma, which a host without Python lacks"),
+    "prints": ("print(wall_K)\n    return 1.0", "raises, prints or allocates memory"),
 }
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", KERNELS)
 def test_effect_that_needs_python_is_refused_by_name(name, tmp_path, monkeypatch):
     body, reason = KERNELS[name]

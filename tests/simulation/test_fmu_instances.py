@@ -213,6 +213,7 @@ def states(vehicle, tmp_path_factory) -> dict[str, int]:
     return {name: int(status) for name, status in (line.rsplit(" ", 1) for line in done.stdout.splitlines())}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize(
     "mistake",
@@ -225,6 +226,7 @@ def test_a_state_that_was_not_handed_out_is_refused_and_nothing_is_touched(state
     assert set(calls.values()) == {3}, calls
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_proper_states_are_taken_after_all_these_mistakes(states, fmi):
     proper = {name: status for name, status in states.items() if name.startswith(f"{fmi} proper:")}

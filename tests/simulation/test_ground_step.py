@@ -59,6 +59,7 @@ def test_a_brighter_lamp_improves_the_clock_more_than_the_coating() -> None:
     assert sigma[10e3][COATING] / sigma[100e3][COATING] < sigma[10e3][SKEW] / sigma[100e3][SKEW]
 
 
+@pytest.mark.thorough
 def test_the_fitted_stack_predicts_the_thermocouples_to_their_noise() -> None:
     found = fitted(50e3)
     floor = found.problem.record_fits[0].record.noise_floor_K()

@@ -73,6 +73,7 @@ def test_time_of_an_onset_is_when_the_flight_passes_its_reynolds_number() -> Non
     assert np.interp(at, flown.time_s, flown["log10_re"]) == pytest.approx(7.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["STS96_468", "STS96_480"])
 def test_transition_explains_the_rise_of_a_tile(name: str) -> None:

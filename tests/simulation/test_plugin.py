@@ -150,6 +150,7 @@ def test_hosts_of_other_frame_rates_agree(
     np.testing.assert_allclose(run(plugin, frames[::every]), fast, rtol=0.0, atol=0.02)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("rate_hz", [60.0, 120.0])
 def test_hosts_at_60_and_120_hertz_agree_with_one_at_20(
     rate_hz: float, plugin: HeatingPlugin, twenty_hertz: tuple[Conditions, list[np.ndarray]]

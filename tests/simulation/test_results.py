@@ -108,6 +108,7 @@ def test_a_reader_chooses_the_points_of_a_picture(result: RunResult) -> None:
         result.plot(["V09T9528"])
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("draw", [draw_temperatures, draw_heating])
 def test_panels_and_legends_of_many_points_cover_none_of_each_other(
     draw: Callable[..., Figure], result: RunResult

@@ -650,6 +650,7 @@ def test_a_file_of_18611_rows_is_read_in_a_moment() -> None:
     assert all(c.si is c.si for c in measured.columns)
 
 
+@pytest.mark.thorough
 def test_one_truth_in_random_layouts_is_never_read_wrongly(tmp_path: Path) -> None:
     """Sixty here; five thousand by `python -m benchmarks layouts`."""
     found, reasons = outcomes(60, 2024, tmp_path)

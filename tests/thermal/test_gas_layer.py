@@ -15,6 +15,7 @@ from tests.support.verification.inside import gas_layer, gas_layer_K
 from tests.support.walls import flight, heat
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("conductivity", [20.0, 1800.0])
 def test_faces_of_a_gas_layer_radiate_at_each_other(conductivity):
     w = gas_layer(conductivity_W_mK=conductivity)

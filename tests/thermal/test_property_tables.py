@@ -153,6 +153,7 @@ def peaked(at_K: float, over_K: float, latent_J_kg: float, c: float = 1000.0) ->
     return [[300.0, c], [at_K - half, c], [at_K, c + latent_J_kg / half], [at_K + half, c], [1500.0, c]]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("over_K", [40.0, 10.0, 1.0])
 def test_a_thin_plate_stores_what_it_absorbs_also_in_a_narrow_peak_of_specific_heat(over_K):
     q_W_m2, rho, thickness_m = 1e4, 1000.0, 1e-3

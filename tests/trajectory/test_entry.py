@@ -267,6 +267,7 @@ def test_the_flight_stops_at_the_first_limit_it_passes():
         assert last == pytest.approx(value, rel=2e-3)
 
 
+@pytest.mark.thorough
 def test_the_step_does_not_matter(nominal):
     fine = entry3dof.fly(spec(rate_hz=20.0), VEHICLE).conditions
     for speed in (7000.0, 5000.0, 3000.0, 1000.0):

@@ -273,6 +273,7 @@ def feedthrough(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library(tmp_path_factory.mktemp("feedthrough"), model="feedthrough")
 
 
+@pytest.mark.sample(1)
 @needs_compiler
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_a_feedthrough_is_flown_by_schedules_from_its_first_frame_on(
@@ -291,6 +292,7 @@ def test_a_feedthrough_is_flown_by_schedules_from_its_first_frame_on(
     assert c["beta_deg"] == approx(np.zeros(len(c)))
 
 
+@pytest.mark.sample(1)
 @needs_compiler
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
 def test_a_start_value_of_a_scheduled_input_holds_until_the_first_step(kind: str, binary: Path, tmp_path: Path) -> None:

@@ -47,6 +47,7 @@ def fly(folder, system: str, altitude_m: float, velocity_m_s: float, alpha_deg: 
     return flown
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("vehicle", "name", "altitude_m", "velocity_m_s", "alpha_deg"),
     [
