@@ -1,6 +1,7 @@
 """Every command that writes, killed at every one of its file operations: what readers then see, and what is left.
 
     python -m benchmarks kills    # goes on where it was interrupted, from out/kills
+    python -m benchmarks.kills --most 12 --command campaign --command "new record"
 
 How a command is killed and judged: tests/support/kills.py.
 """
@@ -9,12 +10,13 @@ from __future__ import annotations
 
 import tempfile
 from collections import Counter
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import click
 
-from benchmarks.measure import Figure, kept, save
+from benchmarks.measure import Figure, kept, save, table
 from tests.support.kills import bad, case, kill_and_judge
 
 COMMANDS = (
@@ -26,13 +28,13 @@ MOST = 40
 """Kills of a command at most, where it has more file operations."""
 
 
-def run(most: int = MOST) -> list[Figure]:
-    """Kill all commands, each at all its operations; at `most` of those of a command that has more, evenly spread."""
+def run(most: int = MOST, commands: Sequence[str] = COMMANDS) -> list[Figure]:
+    """Kill commands, each at all its operations; at `most` of those of a command that has more, evenly spread."""
     keep, rows = kept(Path("out") / "kills"), dict[str, dict[str, int]]()
-    for command in COMMANDS:
+    for command in commands:
         for fresh in (False, True) if command not in ("update-tables", "revert") else (False,):
             label = f"{command}, {'new' if fresh else 'existing'} directory"
-            rows[label] = keep(label, partial(_row, command, fresh, most))
+            rows[label] = keep(f"{label}, {most}", partial(_row, command, fresh, most))
             click.echo(f"{label}: {rows[label]}")
     figures = [
         Figure("commands and kinds of directory", len(rows), ""),
@@ -48,3 +50,15 @@ def run(most: int = MOST) -> list[Figure]:
 def _row(command: str, fresh: bool, most: int) -> Counter[str]:
     with tempfile.TemporaryDirectory() as name:
         return kill_and_judge(case(command, fresh), None, Path(name), most)
+
+
+@click.command(help="Kill commands at their file operations, and print what went wrong.")
+@click.option("--most", type=click.IntRange(2), default=MOST, show_default=True, help="kills of a command at most")
+@click.option("--command", "commands", type=click.Choice(COMMANDS), multiple=True, help="these; repeat; default: all")
+def main(most: int, commands: tuple[str, ...]) -> None:
+    """Run and print."""
+    click.echo(table(run(most, commands or COMMANDS)))
+
+
+if __name__ == "__main__":
+    main()

@@ -114,7 +114,9 @@ def damage(name: str, content: bytes, rng: random.Random) -> Damage:
         ".toml": _toml,
         ".json": _json,
         ".csv": _csv,
+        ".jsonl": _message,
         ".xml": _xml,
+        ".dml": _xml,
         ".fmu": _archive,
         ".py": _source,
     }.get(suffix)
@@ -279,6 +281,15 @@ def _json(content: bytes, rng: random.Random) -> Damage:
     data = json.loads(content)
     kind, what, quantity, factor = _change(data, rng)
     return Damage(kind, what, json.dumps(data, indent=1).encode("utf-8", errors="replace"), quantity, factor)
+
+
+def _message(content: bytes, rng: random.Random) -> Damage:
+    lines = content.splitlines()
+    i = rng.randrange(len(lines))
+    done = _json(lines[i], rng)
+    lines[i] = json.dumps(json.loads(done.content)).encode("utf-8", errors="replace")
+    what = f"line {i + 1}: {done.what}"
+    return Damage(done.kind, what, b"".join(line + b"\n" for line in lines), done.quantity, done.factor)
 
 
 Place = tuple[str | int, ...]

@@ -1,8 +1,9 @@
 """Mutants run one after the other in a process that may die, and what became of each.
 
-Good outcomes: `accepted`, with results that are finite everywhere; `refused`, by an InputError whose first line names a
-file of the case; `failed`, by a RunError of one line. Everything else is a fault: another exception, a warning, a
-number that is not finite, a process that dies, more than 10 s of processor time, a changed input, files left behind.
+Good outcomes: `accepted`, with results that are finite everywhere; `refused`, by an InputError whose lines each name a
+file of the case; `failed`, by a RunError of one line that names one too. Everything else is a fault: another
+exception, a warning, a number that is not finite, a process that dies, more than 10 s of processor time, a changed
+input, files left behind.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import json
 import multiprocessing
 import os
 import random
+import re
 import resource
 import shutil
 import sys
@@ -225,7 +227,8 @@ def _judge(home: Path, seed: int, number: int, work: Path, output: Path, longest
     seconds = time.process_time() - begun
     text = output.read_text(errors="replace")
     outcome, message = _outcome(status, text, trace, seconds > longest_s)
-    if outcome == "refused" and not names_a_file(message.splitlines()[0], folder):
+    told = message.splitlines() if outcome in ("refused", "failed") and not callable(command) else []
+    if not all(names_a_file(line, folder) for line in told):
         outcome = "names no file"
     if outcome in GOOD:
         fault = _left_fault(status == 0, folder, subject, before, work)
@@ -261,9 +264,15 @@ def _outcome(status: int | None, text: str, trace: str, too_long: bool) -> tuple
 
 
 def names_a_file(message: str, folder: Path) -> bool:
-    """Whether a line names a file or folder of the case, or the variable that does."""
-    names = {p.name for p in folder.rglob("*")} | {p.stem for p in folder.rglob("*")} | {"SIM_HEATING_EFFECTS"}
-    return any(name in message for name in names if len(name) > 3)
+    """Whether a line names a file of the case, a folder as a path or before a colon, or the variable that does.
+
+    A folder is often called what it holds: `is not a record` does not name the folder `record`.
+    """
+    below = list(folder.rglob("*"))
+    files = {p.name for p in below if p.is_file()} | {"SIM_HEATING_EFFECTS"}
+    folders = "|".join(re.escape(p.name) for p in below if p.is_dir())
+    as_path = re.search(rf"(?<!\w)({folders})[/:`]", message) if folders else None
+    return as_path is not None or any(name in message for name in files)
 
 
 def _left_fault(accepted: bool, folder: Path, subject: Subject, before: dict[str, str], work: Path) -> str:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import jsbsim
 
+from benchmarks.journals import message
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from tests.support.small_fmus import COMPILER, glide_fmu, library
@@ -212,12 +213,77 @@ parameters = ["ratio.scale"]
 scenario = "glide.toml"
 horizon_s = 60.0
 """
+LINES = """format = "link/1"
+vehicle = "./orbiter"
+control_points = ["{point}"]
+[[source]]
+kind = "json-lines"
+transport = "file"
+file = "flight.jsonl"
+[[sensor]]
+sensor = "{point}"
+field = "tc"
+unit = "K"
+[estimate]
+parameters = ["ratio.scale"]
+"""
+MESSAGES = 40
+FIT = """parameters = ["ratio.scale", "ratio.d_alpha", "clock.skew"]
+reference = { alpha_deg = 40.0 }
+start = "declared"
+fit = [[10.0, 70.0], [80.0, 150.0]]
+[fix]
+ratio.d_beta = 0.0
+[prior]
+"clock.skew" = [0.0, 0.3]
+[bound]
+ratio.scale = [-0.5, 0.5]
+"""
+LAYOUT = """format = "logger-layout/1"
+title = "rig 3"
+separator = ","
+decimal = "."
+time = "Time"
+time_unit = "s"
+lost = [-9999.0]
+[[column]]
+name = "TC1"
+unit = "degC"
+depth = "back"
+[[column]]
+name = "TC2"
+unit = "degC"
+depth = "surface"
+"""
+BODY_POINTS = "x_m,y_m,z_m,alpha_deg,log10_re,film_kg_m2_s,h_ref_kg_m2_s\n"
 TEMPERATURES = "Time (s),TC1 (degC),TC2 (degC)\n"
 LAMP = "Time (s),Flux (kW/m2)\n"
 NEW_RECORD: tuple[str, ...] = (
     "new", "record", "--csv", "temperatures.csv", "--layer", "copper 3 mm", "--depth", "TC1=back",
     "--depth", "TC2=surface", "--out", "{out}", "--lamp",
 )  # fmt: skip
+
+PLATE: tuple[str, ...] = (
+    "new", "record", "--layer", "copper 3 mm", "--emissivity", "0.9", "--out", "{out}",
+)  # fmt: skip
+LOGGERS = {
+    "benchlink.csv": ("Chan 101",),
+    "hobo_am_pm.csv": ("Temp",),
+    "toa5.dat": ("TC1_Avg", "TC2_Avg"),
+    "labview.lvm": ("TC1", "TC2"),
+    "excel97.xls": ("TC1",),
+    "boxcar.txt": ("Temperature",),
+    "long_format.csv": ("TC1", "TC2"),
+    "unit_in_cells.csv": ("TC1",),
+}
+"""Files as loggers write them -> their temperatures."""
+FLOWN: tuple[str, ...] = (
+    *PLATE, "--csv", "descent.csv", "--depth", "TC1=back", "--reference", "sutton-graves", "--nose-radius", "0.3m",
+    "--ratio", "1",
+)  # fmt: skip
+FLIGHTS = ("own_columns.csv", "own_columns_units_names.csv", "jsbsim_out.csv")
+AIR = ("msis_profile.csv", "wyoming_sounding.txt")
+"""Flights and soundings as tools write them."""
 
 MODEL_FILES = ("orbiter/aero/*", "orbiter/guidance.toml")
 
@@ -268,12 +334,15 @@ SUBJECTS = (
         (("plan", "study.toml", "--workers", "1", "--out", "{out}"),),
         share=1.5,
     ),
-    Subject(
-        "study, other kinds",
-        ("study.toml", "glide.toml", "orbiter", *ENVELOPE),
-        tuple(ENVELOPE),
-        tuple(_validate(n) for n in ENVELOPE),
-        share=1.0,
+    *(
+        Subject(
+            "study, other kinds",
+            ("study.toml", "glide.toml", "orbiter", name),
+            (name,),
+            (_validate(name),),
+            share=0.4,
+        )
+        for name in ENVELOPE
     ),
     Subject(
         "vehicle",
@@ -343,7 +412,7 @@ SUBJECTS = (
         "estimate.json",
         ("fit", "record", "orbiter"),
         ("fit/estimate.json",),
-        (),
+        (_validate("fit/estimate.json"),),
         (UPDATE, (*UPDATE[:-2], "--dry-run")),
         share=2.0,
     ),
@@ -351,7 +420,7 @@ SUBJECTS = (
         "closure.json",
         ("closed", "record", "orbiter"),
         ("closed/closure.json", "closed/estimate.json", "closed/residual_heating.csv"),
-        (_validate("closed/closure.json"),),
+        (),
         (
             ("update-tables", "closed", "--vehicle", "orbiter", "--out", "{out}"),
             ("update-tables", "closed/closure.json", "--vehicle", "orbiter", "--dry-run"),
@@ -416,6 +485,89 @@ SUBJECTS = (
         ((*NEW_RECORD, "lamp.csv"), (*NEW_RECORD, "unknown")),
         share=2.0,
     ),
+    *(
+        Subject(
+            "file of a logger",
+            (name,),
+            (name,),
+            (),
+            ((*PLATE, "--csv", name, "--lamp", "unknown", *(x for c in columns for x in ("--depth", f"{c}=back"))),),
+            share=0.3,
+        )
+        for name, columns in LOGGERS.items()
+    ),
+    Subject(
+        "layout of a logger",
+        ("layout.toml", "temperatures.csv"),
+        ("layout.toml",),
+        (_validate("layout.toml"),),
+        ((*PLATE, "--csv", "temperatures.csv", "--lamp", "20kW/m2", "--layout", "layout.toml"),),
+    ),
+    *(
+        Subject(
+            "flight of a record",
+            ("descent.csv", name, AIR[0]),
+            (name,),
+            (),
+            ((*FLOWN, "--conditions", name), (*FLOWN, "--conditions", name, "--atmosphere", AIR[0])),
+            share=0.4,
+        )
+        for name in FLIGHTS
+    ),
+    *(
+        Subject(
+            "air of the day",
+            ("descent.csv", FLIGHTS[0], name),
+            (name,),
+            (),
+            ((*FLOWN, "--conditions", FLIGHTS[0], "--atmosphere", name),),
+            share=0.5,
+        )
+        for name in AIR
+    ),
+    Subject(
+        "settings of a fit",
+        ("fit.toml", "record"),
+        ("fit.toml",),
+        (_validate("fit.toml"),),
+        (("estimate", "record", "--settings", "fit.toml", "--out", "{out}"),),
+    ),
+    Subject(
+        "credibility.toml",
+        ("reviewed",),
+        ("reviewed/credibility.toml",),
+        (_validate("reviewed"), _validate("reviewed/credibility.toml")),
+        (("predict", "reviewed", "--out", "{out}"),),
+        share=0.7,
+    ),
+    *(
+        Subject(
+            "table of another program",
+            (name,),
+            (name,),
+            (),
+            (("table", name, "--out", "made.csv"),),
+            ("made.csv",),
+            share=0.5,
+        )
+        for name in ("table.dml", "table.nc")
+    ),
+    Subject(
+        "body points",
+        ("bodies.csv", "capsule"),
+        ("bodies.csv",),
+        (),
+        (("table", "bodies.csv", "--vehicle", "capsule", "--out", "{out}"),),
+        share=0.7,
+    ),
+    Subject(
+        "link and messages of a file",
+        ("lines.toml", "flight.jsonl", "orbiter"),
+        ("lines.toml", "flight.jsonl", "flight.jsonl"),
+        (_validate("lines.toml"),),
+        (("live", "lines.toml", "--headless", "--out", "{out}", "--quiet"),),
+        share=1.5,
+    ),
     Subject("aircraft of JSBSim", ("ball",), ("ball/ball.xml",), (), (lambda folder: fly_ball(folder),), share=1.0),
     Subject(
         "FMU",
@@ -478,6 +630,18 @@ def make_inputs(home: Path, closed: bool = True) -> None:
         "link.toml": LINK.format(point=POINT),
         "packets.xml": (ROOT / "tests" / "live" / "data" / "entry.xml").read_text(),
         "temperatures.csv": TEMPERATURES + "".join(f"{t},{20 + t / 2},{20 + t / 4}\n" for t in range(0, 120, 4)),
+        "lines.toml": LINES.format(point=POINT),
+        "flight.jsonl": "".join(f"{message(k).decode()}\n" for k in range(MESSAGES)),
+        "fit.toml": FIT,
+        "layout.toml": LAYOUT,
+        "descent.csv": "Time (s),TC1 (K)\n" + "".join(f"{t},{300 + 0.5 * (t - 300)}\n" for t in range(300, 360)),
+        "bodies.csv": BODY_POINTS
+        + "".join(
+            f"{x},0.0,{z},{a},{r},{0.0004 * a},0.04\n"
+            for a in (20, 40)
+            for r in (5, 6)
+            for x, z in ((0.1, 0), (1.5, 1.2))
+        ),
         "lamp.csv": LAMP + "".join(f"{t},{0 if t < 10 else 20}\n" for t in range(-4, 130, 2)),
     }
     for name, text in texts.items():
@@ -492,6 +656,10 @@ def make_inputs(home: Path, closed: bool = True) -> None:
     shutil.copytree(ROOT / "examples" / "effects", home / "effects", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(ROOT / "tests" / "data" / "records" / "tile", home / "tile")
     shutil.copytree(Path(jsbsim.get_default_root_dir()) / "aircraft" / "ball", home / "ball")
+    for name in (*FLIGHTS, *AIR):
+        shutil.copy(ROOT / "tests" / "data" / "flights" / name, home)
+    for name in LOGGERS:
+        shutil.copy(ROOT / "tests" / "data" / "loggers" / name, home)
     rows = (ROOT / "scenarios" / "data" / "sts107_early_entry.csv").read_text().splitlines(keepends=True)
     (home / "trajectory.csv").write_text("".join(rows[:35]))
     glide, later = home / "record.toml", home / "later.toml"
@@ -504,6 +672,8 @@ def make_inputs(home: Path, closed: bool = True) -> None:
         ("synthesize", "later.toml", "--out", "later_record"),
         ("estimate", "later_record", "--out", "later_fit", "--parameters", "ratio.scale"),
         ("update-tables", "fit", "--vehicle", "orbiter", "--out", "revised"),
+        ("table", f"orbiter/{POINT}", "--out", "table.dml"),
+        ("table", f"orbiter/{POINT}", "--out", "table.nc"),
         ("close-loop", "record", "--out", "closed"),
     ]
     if not closed:
@@ -512,6 +682,19 @@ def make_inputs(home: Path, closed: bool = True) -> None:
         for step in steps:
             if main(list(step)) != 0:
                 raise RuntimeError(f"{' '.join(step)} failed")
+        shutil.copytree("record", "reviewed")
+        signed = (
+            "--factor",
+            "history",
+            "--level",
+            "2",
+            "--person",
+            "A. Engineer",
+            "--statement",
+            "Flown twice.",
+        )
+        if main(["credibility", "review", "reviewed", *signed]) != 0:
+            raise RuntimeError("the review failed")
     glide.unlink()
     later.unlink()
     _fmu(home)

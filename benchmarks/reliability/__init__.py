@@ -40,7 +40,7 @@ SMALL = Sizes(payloads=200, disks=2, moves=10, results=6, kills=4, signals=14)
 def run(sizes: Sizes | None = None, seed: int = SEED, progress: Callable[[str], None] = print) -> list[Figure]:
     """Run all and save the results."""
     used = sizes or Sizes()
-    keep = kept(Path("out") / "reliability" / f"{'small' if used == SMALL else 'full'}_{seed}")
+    keep = kept(Path("out") / "reliability" / f"seed_{seed}")
     figures = list[Figure]()
     for figure in _figures(used, seed, keep):
         progress(f"{figure.what}: {figure.value:g} {figure.note}".rstrip())

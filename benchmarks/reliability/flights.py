@@ -15,6 +15,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -317,14 +318,14 @@ def _never_sent(records: Path) -> int:
 
 def figures(payloads: int, disks: int, moves: int, seed: int, keep: Keep) -> Iterator[Figure]:
     """All of them; what is counted has a goal of 0."""
-    tried: dict[str, tuple[Callable[[], dict[str, int]], str]] = {
-        f"MQTT broker and page in a browser ({POINT})": (lambda: hostile_topics(payloads, seed), "payloads"),
-        "file systems that fill up in flight": (lambda: full_disks(disks, seed), "flights"),
-        "time of day that is set in flight": (lambda: set_clocks(moves, seed), "moves"),
-        "time in messages that is set": (lambda: set_stamps(moves, seed), "moves"),
+    tried: dict[str, tuple[Callable[[int, int], dict[str, int]], int, str]] = {
+        f"MQTT broker and page in a browser ({POINT})": (hostile_topics, payloads, "payloads"),
+        "file systems that fill up in flight": (full_disks, disks, "flights"),
+        "time of day that is set in flight": (set_clocks, moves, "moves"),
+        "time in messages that is set": (set_stamps, moves, "moves"),
     }
-    for title, (act, size) in tried.items():
-        counted = keep(title, act)
+    for title, (act, count, size) in tried.items():
+        counted = keep(f"{title}, {count}", partial(act, count, seed))
         yield Figure(f"{title}: {size}", counted[size], "")
         faults = {n: c for n, c in counted.items() if n not in (size, "messages") and "went back" not in n}
         note = ", ".join(f"{c} {n}" for n, c in faults.items())

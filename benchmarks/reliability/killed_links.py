@@ -85,7 +85,7 @@ def _bodies(out: Path) -> list[bytes]:
 
 def figures(kills: int | None, seed: int, keep: Keep) -> list[Figure]:
     """Killed links, and what went wrong."""
-    counted = keep("killed links", lambda: killed_links(kills, seed))
+    counted = keep(f"killed links, {kills}", lambda: killed_links(kills, seed))
     note = ", ".join(f"{n} {what}" for what, n in counted.items() if what != "kills")
     return [
         Figure("kills of a link at its file operations", counted["kills"], ""),

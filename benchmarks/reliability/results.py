@@ -107,7 +107,7 @@ def _judge(arguments: list[str], out: Path, path: Path, whole: dict[str, str], c
 
 def figures(times: int, seed: int, keep: Keep) -> list[Figure]:
     """Damaged results, and what went wrong."""
-    counted, faults = keep("damaged results", lambda: damaged_results(times, seed))
+    counted, faults = keep(f"damaged results, {times}", lambda: damaged_results(times, seed))
     note = ", ".join(f"{n} {what}" for what, n in counted.items())
     return [
         Figure("damaged results", times, "", note=note),

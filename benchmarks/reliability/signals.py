@@ -165,7 +165,7 @@ def figures(count: int, seed: int, keep: Keep) -> list[Figure]:
     each = -(-count // len(commands()))
     faults = list[str]()
     for name, arguments in commands().items():
-        faults += keep(f"signals to {name}", partial(signals, name, arguments, each, seed))
+        faults += keep(f"{each} signals to {name}", partial(signals, name, arguments, each, seed))
     return [
         Figure("signals at random moments", each * len(commands()), "", note=f"{each} to each command"),
         Figure("of these: wrong status, no object of --json, or anything left", len(faults), "", 0.0,

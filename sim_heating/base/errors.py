@@ -78,6 +78,16 @@ def error_context(location: str) -> AbstractContextManager[None]:
     return reworded(lambda problem: f"{location}: {problem}")
 
 
+@contextmanager
+def failure_context(location: str) -> Iterator[None]:
+    """As `error_context`, also for a run that fails: the file is that of what was run."""
+    try:
+        with error_context(location):
+            yield
+    except RunError as error:
+        raise RunError(f"{location}: {error}") from error
+
+
 class RunError(RuntimeError):
     """A run that failed although its input was good: no convergence, or a host that stopped; one printable line.
 

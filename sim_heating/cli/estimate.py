@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -263,7 +264,7 @@ def estimate(
             raise InputError("--segments: a profile is of one fit; leave out --profile")
         if model_error:
             raise InputError("--segments: segments are fitted without an error of the model; leave out --model-error")
-        _estimate_trend(records, out, stated, segments, root)
+        _estimate_trend(records, out, stated, segments, root, settings_file)
         return
     from sim_heating.closure.prior.model_error import stated_error
     from sim_heating.estimation.fit import estimate as fit_records
@@ -271,7 +272,9 @@ def estimate(
     from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
     from sim_heating.inputs.record import load_records
 
-    loaded, starts = _with_segments(load_records(records, root=root), stated)
+    loaded = load_records(records, root=root)
+    with _in_settings(settings_file):
+        loaded, starts = _with_segments(loaded, stated)
     if profiles and noise is not None:
         raise InputError("--profile: is of a fit without process noise; leave out --process-noise and --ratio-noise")
     if model_error and noise is not None:
@@ -280,7 +283,7 @@ def estimate(
         )
     files = output_files(loaded, filtered=noise is not None, profiles=bool(profiles))
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
-    with progress_line("estimate") as progress:
+    with progress_line("estimate") as progress, _in_settings(settings_file):
         fitted = fit_records(
             loaded,
             stated.parameters,
@@ -313,6 +316,13 @@ def estimate(
         raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds the last iteration, which is not an estimate")
 
 
+def _in_settings(file: Path | None) -> AbstractContextManager[None]:
+    """Prefix the problems of what a file of settings states with the file, whose records are good by themselves."""
+    from sim_heating.base.files import display_path
+
+    return nullcontext() if file is None else error_context(display_path(file))
+
+
 def _with_segments(records: list[Record], stated: FitSettings) -> tuple[list[Record], list[Any]]:
     """The records with the segments that are stated for them, and where their marches start."""
     from sim_heating.inputs.parameter_owners import Owners
@@ -325,7 +335,12 @@ def _with_segments(records: list[Record], stated: FitSettings) -> tuple[list[Rec
 
 
 def _estimate_trend(
-    records: tuple[Path, ...], out: Path, stated: FitSettings, length_s: float, root: Path | None
+    records: tuple[Path, ...],
+    out: Path,
+    stated: FitSettings,
+    length_s: float,
+    root: Path | None,
+    settings_file: Path | None,
 ) -> None:
     """Fit consecutive segments of one record, and print how many were fitted and omitted."""
     from sim_heating.base.files import require_writable
@@ -337,9 +352,11 @@ def _estimate_trend(
         raise InputError(f"--segments: {len(records)} records are given; segments are fitted to one record at a time")
     if stated.tie:
         raise InputError("--segments: each segment has its own parameters; leave out --tie")
-    (record,), (start,) = _with_segments([load_record(records[0], root=root)], stated)
+    loaded = load_record(records[0], root=root)
+    with _in_settings(settings_file):
+        (record,), (start,) = _with_segments([loaded], stated)
     require_writable(out, "estimate", expected=TREND, inputs=[record.directory])
-    with progress_line("estimate") as progress:
+    with progress_line("estimate") as progress, _in_settings(settings_file):
         fitted = trend(
             record,
             length_s,

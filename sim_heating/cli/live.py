@@ -175,7 +175,9 @@ def _follow(
         )
         ended = True
     except KeyboardInterrupt:
-        print_warning(f"{directory / NAME} keeps what came: the same command goes on from it")
+        journal.close(is_end=False)  # which removes that of a link that was not begun
+        if (directory / NAME).is_file():
+            print_warning(f"{directory / NAME} keeps what came: the same command goes on from it")
         raise
     finally:
         journal.close(is_end=ended)

@@ -1,4 +1,4 @@
-"""Recognise a path as a record, ratio table, vehicle, scenario, campaign, link, study or material, and check it."""
+"""Recognise a path as a record, vehicle, scenario, study, estimate or another file that people write, and check it."""
 
 from __future__ import annotations
 
@@ -13,22 +13,27 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, read_text, read_toml, read_toml_dict, suggestion
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
 from sim_heating.inputs.first_readings import other_start
+from sim_heating.inputs.fit_settings import FitSettings
 from sim_heating.inputs.record import DECLARATION, Record, load_record
 from sim_heating.inputs.scenario import load_scenario
-from sim_heating.inputs.vehicle import load_vehicle, vehicle_directory, vehicle_names
+from sim_heating.inputs.vehicle import REVIEWS, load_vehicle, vehicle_directory, vehicle_names
 from sim_heating.thermal.stack import Material
 
 VEHICLE = "vehicle.toml"
 DESCRIBING = ("title", "source", "confidence", "note")
 """Keys of all formats whose texts describe: no number depends on them, but for the confidence of flight conditions."""
-FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "campaign/1", "link/1", "study/1", "optimal-entry/1")
+FORMATS = (
+    "flight-record/1", "vehicle/1", "scenario/1", "campaign/1", "link/1", "study/1", "optimal-entry/1",
+    "logger-layout/1", "credibility/1",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class CheckedPath:
     """A path without fault.
 
-    kind    : record, ratio table, vehicle, scenario, campaign, link, study or material
+    kind    : record, ratio table, vehicle, scenario, campaign, link, study, material, layout, reviews, settings or
+              estimate
     summary : one line for a person
     notes   : lines on what is no fault and asks for attention
     """
@@ -54,6 +59,8 @@ def check_path(path: str | os.PathLike[str], root: Path | None = None) -> Checke
         return _directory(target, root)
     if target.suffix == ".toml":
         return _toml(target, root)
+    if target.suffix == ".json":
+        return _estimate(target)
     return _csv(target, root)
 
 
@@ -101,6 +108,7 @@ def _directory(path: Path, root: Path | None) -> CheckedPath:
         )
     if DECLARATION in names:
         record = load_record(path, root=root)
+        _check_reviews(path)
         other = other_start(record)
         return CheckedPath("record", path, describe_record(record), [] if other is None else [other.in_words])
     if VEHICLE in names:
@@ -123,11 +131,18 @@ def _toml(path: Path, root: Path | None) -> CheckedPath:
         return _study(path, root)
     if data.get("format") == "optimal-entry/1":
         return _optimal_study(path, root)
+    if data.get("format") == "logger-layout/1":
+        return _layout(path)
+    if data.get("format") == "credibility/1":
+        return _reviews(path)
     if (vehicle := _vehicle_of(path)) is not None:
         return _vehicle(vehicle, root)
     if "density_kg_m3" in data:
         read_toml(path, Material)
         return CheckedPath("material", path, f"material {path.stem}")
+    if "format" not in data and data.keys() & FitSettings.model_fields.keys():
+        read_toml(path, FitSettings)
+        return CheckedPath("settings", path, f"settings of a fit: {', '.join(data)}")
     raise InputError(f"{display_path(path)}: {_format_rule(data.get('format'))}")
 
 
@@ -164,6 +179,7 @@ def _vehicle(path: Path, root: Path | None) -> CheckedPath:
 
     vehicle = load_vehicle(path, root=root)
     check_vehicle(vehicle)
+    _check_reviews(vehicle.directory)
     for source in sorted((vehicle.directory / "ratio_sources").glob("*.toml")):
         read_toml(source, RatioSource)
     return CheckedPath("vehicle", path, f"vehicle {vehicle.name}: {len(vehicle.control_points)} control points")
@@ -225,6 +241,31 @@ def _optimal_study(path: Path, root: Path | None) -> CheckedPath:
     from sim_heating.planning.optimal.spec import load_optimal_study
 
     return CheckedPath("study", path, f"study of an optimal entry: {load_optimal_study(path, root=root).title}")
+
+
+def _layout(path: Path) -> CheckedPath:
+    from sim_heating.templates.loggers.layout_file import read_layout
+
+    layout = read_layout(path)
+    return CheckedPath("layout", path, f"layout of a logger: {layout.title or path.stem}")
+
+
+def _reviews(path: Path) -> CheckedPath:
+    from sim_heating.credibility.reviews import ReviewFile
+
+    return CheckedPath("reviews", path, f"{len(read_toml(path, ReviewFile).review)} signed reviews")
+
+
+def _check_reviews(folder: Path) -> None:
+    """raises : InputError where the reviews beside a record or a vehicle cannot be read"""
+    if (folder / REVIEWS).is_file():
+        _reviews(folder / REVIEWS)
+
+
+def _estimate(path: Path) -> CheckedPath:
+    from sim_heating.estimation.report.estimate_file import read_estimate
+
+    return CheckedPath("estimate", path, f"estimate of {', '.join(read_estimate(path).parameters)}")
 
 
 def describe_record(record: Record) -> str:

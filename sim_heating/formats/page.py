@@ -250,8 +250,9 @@ def index_page() -> str:
     rows = [f"| [`{f.file}`]({f.name}.md) | {f.title} |" for f in FORMATS]
     text = (
         "# File formats\n\nAll numbers are in SI units and angles in degrees; a key or column ends in its unit. Files "
-        "are UTF-8. `sim-heating validate PATH` checks any of them and reports every problem in one line with file, "
-        "place and rule. `sim-heating formats NAME` prints the keys of a format. [Ranges of quantities](limits.md) "
-        "states what is refused and what is told.\n\n| file | |\n|---|---|\n"
+        "are UTF-8. `sim-heating validate PATH` checks those that people write, a flight by the scenario that names "
+        "it, and reports every problem in one line with file, place and rule. `sim-heating formats NAME` prints the "
+        "keys of a format. [Ranges of quantities](limits.md) states what is refused and what is told.\n\n"
+        "| file | |\n|---|---|\n"
     )
     return text + "\n".join(rows) + "\n"

@@ -14,7 +14,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
-from sim_heating.base.errors import InputError, RunError, error_context
+from sim_heating.base.errors import InputError, RunError, error_context, failure_context
 from sim_heating.base.files import display_path, output_directory, suggestion, write_csv, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel.processes import in_copy
@@ -235,9 +235,10 @@ class Comparison:
 
 
 def fly_scenario(scenario: Scenario, *, progress: Progress = no_progress, on_frame: OnFrame | None = None) -> Flight:
-    """Fly the trajectory of a scenario with its source; what its numbers make impossible is reported with its file."""
+    """Fly the trajectory of a scenario with its source; what its numbers make impossible, and a flight that fails, is
+    reported with its file."""
     spec = scenario.declared.trajectory
-    with error_context(display_path(scenario.path)):
+    with failure_context(display_path(scenario.path)):
         flight = SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=progress)
         if spec.source != "recorded":
             with error_context("[trajectory]"):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants.judge import GOOD, Result, mutant, run_numbers
+from benchmarks.mutants.judge import GOOD, Result, mutant, names_a_file, run_numbers
 from benchmarks.mutants.subjects import command_text, make_inputs
 
 SEED, COUNT = 23, 300
@@ -55,3 +55,19 @@ def test_a_mutant_is_known_by_its_seed_and_number(whole_files: Path) -> None:
         assert (one[2], one[3]) == (other[2], other[3])
         assert command_text(one[1]) == command_text(other[1])
         assert one[3].content != (whole_files / one[2]).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [
+        ("record/record.toml: `title` is missing", True),
+        ("record: holds both", True),
+        ("effect `x` of SIM_HEATING_EFFECTS cannot be read", True),
+        ("time_s: is not a record", False),
+        ("altitude_m, row 3: 80 looks like km", False),
+    ],
+)
+def test_a_line_names_a_file_by_its_name_and_a_folder_by_a_path(line: str, names: bool, tmp_path: Path) -> None:
+    (tmp_path / "record").mkdir()
+    (tmp_path / "record" / "record.toml").touch()
+    assert names_a_file(line, tmp_path) == names

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
+from sim_heating.base.errors import RunError
 from sim_heating.base.files import read_csv_columns, write_csv
 from sim_heating.cli import main
+from sim_heating.inputs.scenario import load_scenario
+from sim_heating.simulation.run import fly_scenario
 from tests.support.gliding import gliding
-from tests.support.paths import ROOT, SCENARIOS
+from tests.support.paths import ROOT, SCENARIOS, TILE
 
 SHORT = gliding(60.0, "V09T9527", vehicle="orbiter")
 POPU = '\n[[trajectory.manoeuvre]]\nkind = "popu"\n'
@@ -82,6 +86,13 @@ def test_a_flight_that_leaves_the_atmosphere_is_an_error(capsys: pytest.CaptureF
     assert "outside the atmosphere" in error
 
 
+def test_a_flight_that_fails_names_its_scenario() -> None:
+    text = SHORT.replace("velocity_m_s = 6800.0", "velocity_m_s = 12000.0").replace("time_s = 60.0", "time_s = 3000.0")
+    Path("fast.toml").write_text(text)
+    with pytest.raises(RunError, match=r"^fast\.toml: .* outside the atmosphere"):
+        fly_scenario(load_scenario("fast.toml", root=ROOT))
+
+
 def test_a_flight_without_an_end_is_told_which_keys_end_it(capsys: pytest.CaptureFixture[str]) -> None:
     status, error = validated(SHORT.replace("time_s = 60.0", ""), capsys)
     assert status == 2
@@ -112,3 +123,44 @@ def test_a_user_defined_effect_that_does_not_compile_is_an_error(
     assert "effect `broken` (effects/broken.py)" in error
     assert "cannot be compiled" in error
     assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "line"),
+    [
+        ("logger_layout.toml", 'decimal = ","', 'decimal = ";"', "logger_layout.toml: `decimal`"),
+        ("fit_settings.toml", "[0.0, 0.3]", "[0.0]", "fit_settings.toml, [prior.clock]: `skew`: [0.0] is not a pair"),
+        ("credibility.toml", "level = 2", "level = 5", "credibility.toml, [review] 1: `level`"),
+    ],
+)
+def test_a_file_that_names_no_others_is_checked(
+    name: str, old: str, new: str, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (ROOT / "examples" / name).read_text()
+    assert text.count(old) == 1
+    Path(name).write_text(text)
+    assert main(["validate", name]) == 0
+    Path(name).write_text(text.replace(old, new))
+    assert main(["validate", name]) == 2
+    assert line in capsys.readouterr().err
+
+
+def test_an_estimate_that_was_changed_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    shipped = ROOT / "docs" / "reference" / "formats" / "examples"
+    assert main(["validate", str(shipped / "estimate.json")]) == 0
+    Path("estimate.json").write_text((shipped / "estimate.json").read_text().replace("0", "1", 1))
+    assert main(["validate", "estimate.json", str(shipped / "closure.json")]) == 2
+    said = capsys.readouterr().err
+    assert "estimate.json: " in said
+    assert "closure.json: is a closure report; give an estimate.json" in said
+
+
+@pytest.mark.parametrize(("path", "name"), [(TILE, "tile"), (ROOT / "aircraft_data" / "capsule", "capsule")])
+def test_reviews_that_cannot_be_read_are_refused(path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A computation would refuse them with its results."""
+    shutil.copytree(path, name)
+    shutil.copy(ROOT / "examples" / "credibility.toml", name)
+    assert main(["validate", name]) == 0
+    (Path(name) / "credibility.toml").write_text('format = "credibility/1"\nreviews = 1\n')
+    assert main(["validate", name]) == 2
+    assert "credibility.toml: unknown key `reviews`" in capsys.readouterr().err

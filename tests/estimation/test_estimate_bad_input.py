@@ -105,6 +105,10 @@ def test_invalid_request_is_answered_in_a_line(capsys, tmp_path, arguments, line
         ("parameter = []", "fit.toml: unknown key `parameter`; did you mean `parameters`"),
         ("[prior]\nratio.scale = [0.0]", "[0.0] is not a pair; give two numbers"),
         ("[fix]\nratio.scale = true", "fit.toml"),
+        ('parameters = ["ratio.scale"]\n[fix]\nratio.scale = 0.1', "fit.toml: ratio.scale: is fixed, and named"),
+        ('parameters = ["ratio.scal"]', "fit.toml: "),
+        ('start = "circus"', "fit.toml: "),
+        ("fit = [[1e6, 2e6]]", "fit.toml: "),
     ],
 )
 def test_invalid_settings_are_answered_in_a_line(capsys, tmp_path, text, line):

@@ -354,6 +354,11 @@ def _data_location(loc: Location, data: Any, keep_last: bool = False) -> Locatio
         elif isinstance(data, (list, tuple)) and isinstance(key, int) and key < len(data):
             kept.append(key)
             data = data[key]
+        elif isinstance(data, dict) and isinstance(key, str) and "." in key:  # TOML makes tables in tables of it
+            below = _data_location(tuple(key.split(".")), data)
+            kept += below
+            for part in below:
+                data = _child(data, part)
     return tuple(kept)
 
 
