@@ -107,9 +107,8 @@ def close_all(
     returns   : one row of the summary for each record, in their order
     raises    : InputError where the scheduler or a folder of results cannot be used
     """
-    from sim_heating.base.report.page import write_page
     from sim_heating.closure.close import COMMAND, FILES
-    from sim_heating.closure.report.batch import batch_page  # matplotlib is slow to import
+    from sim_heating.closure.report.batch import write_batch_page  # matplotlib is slow to import
 
     labels = record_names(records, root)
     jobs = [record_job(path, out / label, root, names, label) for path, label in zip(records, labels, strict=True)]
@@ -142,7 +141,7 @@ def close_all(
         with output_directory(out, COMMAND, inputs=records) as folder:
             write_json(folder / JSON, {"format": "closure-summary/1", "records": rows})
             _write_summary_csv(folder / CSV, rows)
-            write_page(folder / PAGE, lambda: batch_page(rows, residuals))
+            write_batch_page(folder / PAGE, rows, residuals)
     return rows
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.report.chart import Chart, Curve, Panel, Span, decimated
-from sim_heating.base.report.page import Page, Section
+from sim_heating.base.report.page import Page, Section, write_page
 from sim_heating.closure.report.record import closures_table
 from sim_heating.closure.result import PAGE, Closure
 from sim_heating.estimation.report.plots import AFTER, BEFORE
@@ -50,12 +51,18 @@ def _rounded(values: FloatArray, digits: int) -> list[float]:
     return [round(v, digits) for v in values.tolist()]
 
 
+def write_batch_page(
+    path: Path, rows: Sequence[Mapping[str, Any]], residuals: Sequence[Mapping[str, Any] | None]
+) -> None:
+    """Write the page of a batch; rows and residuals as its jobs give them, None for a record that failed."""
+    write_page(path, lambda: batch_page(rows, residuals))
+
+
 def batch_page(
     rows: Sequence[Mapping[str, Any]], residuals: Sequence[Mapping[str, Any] | None], *, most_charts: int = 12
 ) -> Page:
     """All records in a table, why some failed, and the residuals of those farthest above their noise floor.
 
-    rows, residuals : as the jobs give them; None for the residuals of a record that failed
     most_charts : records whose residuals are drawn: those farthest above their noise floor
     """
     pages = [None if "failed" in row else f"{row['record']}/{PAGE}" for row in rows]

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.report.chart import Chart, Curve, Panel, Span
-from sim_heating.base.report.figure import ANGLES, add_grid_and_title, new_figure
+from sim_heating.base.report.figure import ANGLES, add_grid_and_title, mark_beyond, new_figure
+from sim_heating.base.report.page import Picture
 from sim_heating.closure.clues.correlation import ResidualEvidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.clues.shapes import TIME
-from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart
+from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, fit_figure, shade_holdout
 from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.report.charts import flown_panels, record_spans, shades
 
@@ -28,22 +31,37 @@ LABELS = {n: f"{label}, deg" for n, (label, _) in ANGLES.items()} | {
     "axial_accel_g": "axial acceleration, g",
     TIME: "time, s",
 }
+COMPARED = "Each used sensor with its residuals below (measured minus predicted); held-out spans shaded."
 ACTIVE = "#f9dcdc"
 """Colour of the time in which a residual is active."""
 SIGMAS = 2.0
 
 
-def comparison_chart(predicted: Prediction | None, declared: Prediction, final: Prediction, effect: str) -> Chart:
+def comparison_figure(predicted: Prediction | None, declared: Prediction, final: Prediction, effect: str) -> Figure:
     """Measured against predicted temperatures of each used sensor: declared model, the same fitted, with effect."""
+    figure, axes = fit_figure(final.record, _compared(predicted, declared, final, effect))
+    add_grid_and_title(figure, "", axes)
+    return figure
+
+
+def comparison_chart(predicted: Prediction | None, declared: Prediction, final: Prediction, effect: str) -> Chart:
+    """The chart of `comparison_figure`, which is the picture in its place."""
+    picture = Picture(partial(comparison_figure, predicted, declared, final, effect), COMPARED)
+    return fit_chart(final.record, _compared(predicted, declared, final, effect), picture)
+
+
+def _compared(
+    predicted: Prediction | None, declared: Prediction, final: Prediction, effect: str
+) -> list[tuple[Prediction, str, str]]:
     curves = [] if predicted is None else [(predicted, PREDICTED, "declared model")]
     curves.append((declared, BEFORE, "declared model fitted"))
     if final is not declared:
         curves.append((final, AFTER, f"with {effect}"))
-    return fit_chart(final.record, curves)
+    return curves
 
 
 def heating_chart(declared: ResidualHeating, final: ResidualHeating | None, evidence: ResidualEvidence) -> Chart:
-    """The residual as heating against time with its band, and the flight."""
+    """The residual as heating against time with its band, and the flight; `heating_figure` is the picture."""
     shown = [(declared, BEFORE, "declared model fitted")] + (
         [] if final is None else [(final, AFTER, "with the effect")]
     )
@@ -52,11 +70,54 @@ def heating_chart(declared: ResidualHeating, final: ResidualHeating | None, evid
     missing = Panel(
         f"missing {declared.quantity}", curves, zero=True, limits=(float(limits[:, 0].min()), float(limits[:, 1].max()))
     )
+    picture = Picture(partial(heating_figure, declared, final, evidence), f"Missing {declared.quantity} against time.")
     spans = [Span(s.start_s, s.end_s, "active", ACTIVE) for s in evidence.active] + record_spans(declared.record)
     shaded = [shades(declared.record), "Red: the residual is active." if evidence.active else ""]
     caption = " ".join([f"Missing {declared.quantity} against time; bands: {SIGMAS:g} sigma.", *filter(None, shaded)])
     panels = [missing, *flown_panels(declared.record.conditions)]
-    return Chart("Residual as heating", panels, caption, declared.span_s, spans)
+    return Chart("Residual as heating", panels, caption, declared.span_s, spans, picture)
+
+
+def heating_figure(declared: ResidualHeating, final: ResidualHeating | None, evidence: ResidualEvidence) -> Figure:
+    """The residual as a heating ratio against time, with the angles that changed."""
+    flown = declared.record.conditions.at(declared.time_s)
+    changed = [name for name in ANGLES if np.ptp(flown[name]) > 0.5]
+    if changed:
+        figure, axes = new_figure(9.5, 6.0, 2, sharex=True, height_ratios=[2.0, 1.0])
+    else:
+        figure, axes = new_figure(9.5, 4.0, 1)
+    shown = [declared] if final is None else [declared, final]
+    limits = np.array([_limits(residual) for residual in shown])
+    axes[0].set_ylim(limits[:, 0].min(), limits[:, 1].max())
+    _band(axes[0], declared, BEFORE, "declared model fitted")
+    if final is not None:
+        _band(axes[0], final, AFTER, "with the effect")
+    axes[0].axhline(0.0, color="0.3", linewidth=0.8)
+    for span in evidence.active:
+        axes[0].axvspan(span.start_s, span.end_s, ymax=0.03, color="tab:red", linewidth=0)
+    axes[0].set_ylabel(f"missing {declared.quantity}")
+    axes[0].legend(fontsize=8, loc="best")
+    for name in changed:
+        label, color = ANGLES[name]
+        axes[1].plot(declared.time_s, flown[name], color=color, label=label, linewidth=1.1)
+    if changed:
+        axes[1].set_ylabel("deg")
+        axes[1].legend(fontsize=8, loc="best", ncols=4)
+    for a in axes:
+        shade_holdout(a, declared.record)
+    axes[-1].set_xlim(*declared.span_s)
+    axes[-1].set_xlabel("time, s; band: 2 sigma; red at the foot: active")
+    add_grid_and_title(figure, "", axes)
+    return figure
+
+
+def _band(a: Axes, residual: ResidualHeating, color: str, label: str) -> None:
+    """A history with its band of SIGMAS; knots beyond the limits of the axes are marked at their edge."""
+    t, d, s = residual.time_s, residual.delta_ratio, residual.sigma
+    low, high = a.get_ylim()
+    a.fill_between(t, d - SIGMAS * s, d + SIGMAS * s, color=color, alpha=0.25, linewidth=0)
+    a.plot(t, np.where((d >= low) & (d <= high), d, np.nan), color=color, linewidth=1.2, label=label)
+    mark_beyond(a, t, d, color)
 
 
 def _limits(residual: ResidualHeating) -> tuple[float, float]:

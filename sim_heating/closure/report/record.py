@@ -99,7 +99,7 @@ def closure_page(closure: Closure) -> Page:
     warnings = [*(f.message for f in closure.faults), *further_warnings(closure.warnings, closure.remarks)]
     sections = sections_of(
         {
-            "Not an aerothermal effect": lambda: not_effects_section(closure.statement),
+            "Not an aerothermal effect": lambda: _not_effects_section(closure),
             "What would tell them apart": lambda: tell_apart_section(closure.statement),
             "Errors": lambda: _errors_section(closure),
             "Does it explain the record?": lambda: _adequacy_section(closure),
@@ -181,10 +181,12 @@ def _change(samples: str, first: Mapping[str, float] | None, last: Mapping[str, 
     return f"RMSE over {samples} data: {first['rmse_K']:.2f} K before, {last['rmse_K']:.2f} K after. "
 
 
-def not_effects_section(statement: Statement) -> list[Section]:
+def _not_effects_section(closure: Closure) -> list[Section]:
     """Causes that are no aerothermal effect, in words."""
-    causes = [f"{c.kind}: {c.what}" for c in statement.not_effects]
-    return [Section("Not an aerothermal effect", points=causes)] if causes else []
+    causes = closure.statement.not_effects
+    if not causes:
+        return []
+    return [Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])]
 
 
 def tell_apart_section(statement: Statement) -> list[Section]:

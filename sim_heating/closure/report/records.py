@@ -21,16 +21,17 @@ from sim_heating.base.files import write_csv, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parameters import AT
 from sim_heating.base.report.chart import Chart
+from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.report.record import not_effects_section, tell_apart_section
+from sim_heating.closure.report.record import tell_apart_section
 from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone, finite, listed
 from sim_heating.closure.search.evidence import Evidence
 from sim_heating.closure.search.joint_model import RECORD
 from sim_heating.closure.search.trials.told_error import flight_as_json
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
-from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart
+from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, shade_holdout
 from sim_heating.simulation.predict import Prediction
 
 # Files ----------------------------------------------------------------------------------------------------------------
@@ -114,9 +115,11 @@ def joint_page(joint: JointClosure) -> Page:
     points = dict.fromkeys(c.record.declared.control_point for c in joint.closures)
     plural = "s" if len(points) > 1 else ""
     subtitle = f"Records {listed(joint.names)}, control point{plural} {listed(list(points))}"
+    causes = joint.statement.not_effects
+    not_effects = Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])
     sections = sections_of(
         {
-            "Not an aerothermal effect": lambda: not_effects_section(joint.statement),
+            "Not an aerothermal effect": lambda: not_effects if causes else [],
             "What each record adds": lambda: _evidence_section(joint),
             "Residuals side by side": lambda: _residuals_section(joint),
             "What would tell them apart": lambda: tell_apart_section(joint.statement),
@@ -176,30 +179,44 @@ def _evidence_section(joint: JointClosure) -> Section:
     return Section("What each record adds", text, tables=[evidence_table(joint)])
 
 
-def _residual_charts(joint: JointClosure) -> list[Chart]:
-    """Residuals of each record, derivatives fitted and with the cause."""
-    charts = []
-    for closure, after in zip(joint.closures, joint.after, strict=True):
-        curves = [(closure.before, BEFORE, "declared model fitted")]
-        if after is not closure.before:
-            curves.append((after, AFTER, f"with {' + '.join(joint.search.compared.names)}"))
-        charts.append(fit_chart(closure.record, curves, temperatures=False))
-    return charts
-
-
 def _residuals_section(joint: JointClosure) -> Section:
-    """Residuals of the records side by side; on paper one picture shows them all."""
-    first, *others = _residual_charts(joint)
-    picture = Picture(partial(residuals_figure, joint), "Measured minus predicted, by record.")
-    charts = [replace(first, picture=picture), *(replace(chart, pictured=False) for chart in others)]
+    """Residuals of the records side by side, derivatives fitted and with the cause."""
+    charts: list[Chart] = []
+    picture = Picture(partial(residuals_figure, joint), "Measured minus predicted, by record; held-out spans shaded.")
+    for closure, after in zip(joint.closures, joint.after, strict=True):
+        curves = _curves(joint, closure, after)
+        chart = fit_chart(closure.record, curves, picture, temperatures=False)
+        charts.append(replace(chart, pictured=not charts))  # one picture shows them all
     return Section("Residuals side by side", charts=charts)
+
+
+def _curves(joint: JointClosure, closure: Closure, prediction: Prediction) -> list[tuple[Prediction, str, str]]:
+    """What a record is compared with: prediction, colour and words of each."""
+    curves = [(closure.before, BEFORE, "declared model fitted")]
+    cause = " + ".join(joint.search.compared.names)
+    return curves if prediction is closure.before else [*curves, (prediction, AFTER, f"with {cause}")]
 
 
 def residuals_figure(joint: JointClosure) -> Figure:
     """Residuals of each record's used sensors [K], derivatives fitted and with the cause."""
-    charts = [(chart.title, panel) for chart in _residual_charts(joint) for panel in chart.panels if panel.zero]
-    panels = [replace(panel, label=f"{record}, {panel.label}", height=1.0) for record, panel in charts]
-    return Chart("Residuals side by side", panels).figure()
+    count = len(joint.closures)
+    figure, axes = new_figure(9.5, 2.2 * count + 0.6, count)
+    for a, closure, after in zip(axes, joint.closures, joint.after, strict=True):
+        record = closure.record
+        judged = record.fit_mask() | record.holdout_mask()
+        curves = _curves(joint, closure, after)
+        style = {"linestyle": "none", "marker": ".", "markersize": 2.5, "rasterized": True}
+        for prediction, color, label in curves:
+            for k, i in enumerate(i for i, s in enumerate(record.sensors) if s.used):
+                residual_K, legend = prediction.residual_K[i], label if k == 0 else None
+                a.plot(record.time_s[judged], residual_K[judged], color=color, label=legend, **style)
+        a.axhline(0.0, color="0.3", linewidth=0.8)
+        a.set_ylabel(f"{record.name}\nresidual, K")
+        shade_holdout(a, record)
+        legend_above(a)
+    axes[-1].set_xlabel("time, s")
+    add_grid_and_title(figure, "", axes)
+    return figure
 
 
 def _errors_section(joint: JointClosure) -> Section:
