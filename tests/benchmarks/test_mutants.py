@@ -10,7 +10,7 @@ import pytest
 from benchmarks.mutants.judge import GOOD, Result, mutant, names_a_file, run_numbers
 from benchmarks.mutants.subjects import command_text, make_inputs
 
-SEED, COUNT = 23, 300
+SEED, COUNT = 771123, 300
 COMPUTING = 5
 """One in so many of the commands that compute is run; all of those that only read."""
 LONGEST_S = 120.0
@@ -26,7 +26,7 @@ def whole_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def results(whole_files: Path) -> list[Result]:
-    numbers = [n for n in range(COUNT) if n % COMPUTING == 0 or not computes(whole_files, n)]
+    numbers = [n for n in range(COUNT) if n % COMPUTING == 1 or not computes(whole_files, n)]
     return list(run_numbers(whole_files, SEED, numbers, longest_s=LONGEST_S))
 
 
