@@ -18,9 +18,10 @@ from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.hypothesis import NOT_PREDICTED, Hypothesis, conclude, fitted_anew
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import base_trial
-from sim_heating.closure.verdict.adequacy import Adequacy, assess, p_value
+from sim_heating.closure.verdict.adequacy import Adequacy, assess, p_value, statistics
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.inference.likelihood import ReadingIntervals
 from sim_heating.estimation.inference.model_error import ErrorSize
 from sim_heating.estimation.inference.newton import Status
 from sim_heating.heating.effects import use
@@ -108,6 +109,20 @@ def test_the_p_value_falls_continuously_with_the_statistic_and_is_never_zero() -
     assert np.all(np.diff(p) <= 0.0)
     assert np.max(-np.diff(p)) < 0.15
     assert 0.0 < p[-1] < 1e-4
+
+
+def test_records_judged_together_have_the_statistic_of_each_alone() -> None:
+    record, _ = record_with([], 6)
+    samples, rng = estimate([record]).samples(), np.random.default_rng(4)
+    moved = [[replace(s, mean_K=s.mean_K + rng.normal(0.0, size * s.sigma_K, len(s.mean_K))) for s in samples]
+             for size in (0.0, 1.0, 2.0)]  # fmt: skip
+    together = []
+    for channels in zip(*moved, strict=True):
+        read = channels[0].channel.intervals
+        either = ReadingIntervals(read.lower_K[:, np.newaxis], read.upper_K[:, np.newaxis])
+        means_K = np.column_stack([s.mean_K for s in channels])
+        together.append(replace(channels[0], mean_K=means_K, channel=replace(channels[0].channel, intervals=either)))
+    np.testing.assert_allclose(statistics(together), [assess(one).statistic for one in moved], rtol=1e-12)
 
 
 def test_white_noise_above_the_declared_one_has_no_structure_and_a_slow_error_of_the_same_size_has() -> None:
