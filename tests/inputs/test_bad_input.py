@@ -174,7 +174,7 @@ CONDITIONS = {
     "time back": (cell(9, "time_s", "55"), "row 9, column time_s: 55 does not come after 60; sort the rows by time_s"),
     "time twice": (cell(9, "time_s", "60"), "row 9, column time_s: 60 does not come after 60"),
     "T_inf in Celsius": (column("T_inf_K", celsius), "row 2, column T_inf_K: -68.15 is below 100 K and looks like Celsius"),
-    "T_inf in counts": (swap("T_inf_K", "T_inf (counts)"), "needs the unit of `T_inf (counts)`; write `T_inf (counts) (K)`"),
+    "T_inf in counts": (swap("T_inf_K", "T_inf (counts)"), "needs the unit of `T_inf (counts)`; write `T_inf (counts) (UNIT)`"),
     "velocity in ft/s": (column("velocity_m_s", lambda v: f"{float(v) / 0.3048:.0f}"), "row 2, column velocity_m_s: 22310 is not a speed in m/s"),
     "time in us": (column("time_s", lambda v: f"{float(v) * 1e6:.0f}"), "row 3, column time_s: 1e+07 is more than 1e+06 s after the first row and looks like ms or us; give s (and 20 more rows)"),
     "altitude in km": (column("altitude_m", lambda v: f"{float(v) / 1000}"), "row 2, column altitude_m: 75 is too low for its speed and looks like km"),
@@ -338,7 +338,7 @@ def test_a_material_file_is_recognised(tmp_path: Path) -> None:
         ("a.toml", "title = 'x'\n", 'key `format` is missing; a scenario begins with format = "scenario/1"'),
         ("a.toml", "format = 'scenario/2'\n", "did you mean `scenario/1`?"),
         ("a.csv", "x,y\n1,2\n", "is not a record, vehicle, scenario or ratio table"),
-        ("a.json", "{}", "is not a record, vehicle, scenario or ratio table"),
+        ("a.json", "{}", "key `format` is missing"),
         ("a.csv", "alpha_deg,ratio\n1,2\n", "there is no column `beta_deg`"),
     ],
 )

@@ -7,8 +7,6 @@ import os
 import re
 import signal
 import socket
-import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +17,7 @@ import sim_heating as sh
 from sim_heating.base.files import read_json
 from sim_heating.cli import main
 from sim_heating.inputs.record import load_record, write_record
-from sim_heating.live.recording.journal import NAME, open_again
+from sim_heating.live.recording.journal import open_again
 from sim_heating.live.recording.to_record import with_heated_start
 from tests.live.links import FRAME, free_port, json_lines, part_of_record
 from tests.support.json_output import run_json
@@ -426,20 +424,3 @@ def test_options_that_contradict_are_usage_errors(tmp_path, capsys):
     assert "--demo flies by itself" in the_error(capsys, "live", "--demo", "--replay", "record")
     assert "Missing argument 'LINK'" in the_error(capsys, "live")
     assert "--to-record needs --out" in the_error(capsys, "live", "--to-record", str(tmp_path))
-
-
-def test_a_link_that_was_not_begun_tells_of_no_journal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    source = f'kind = "json-lines"\ntransport = "tcp-server"\nport = {free_port()}\n'
-    link = of_vehicle(tmp_path, LINK.partition('kind = "json-lines"')[0] + source)
-
-    def interrupt() -> None:
-        while not (out / NAME).exists() or (out / NAME).stat().st_size == 0:
-            time.sleep(0.01)
-        time.sleep(0.2)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    threading.Thread(target=interrupt).start()
-    assert main(["live", str(link), "--headless", "--out", str(out), "--quiet"]) == 130
-    assert "keeps what came" not in capsys.readouterr().err
-    assert not (out / NAME).exists()
