@@ -10,7 +10,7 @@ from typing import Any
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path, read_text, read_toml, read_toml_dict, suggestion
+from sim_heating.base.files import display_path, read_json, read_text, read_toml, read_toml_dict, suggestion
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
 from sim_heating.inputs.first_readings import other_start
 from sim_heating.inputs.fit_settings import FitSettings
@@ -59,7 +59,7 @@ def check_path(path: str | os.PathLike[str], root: Path | None = None) -> Checke
         return _directory(target, root)
     if target.suffix == ".toml":
         return _toml(target, root)
-    if target.suffix == ".json":
+    if target.suffix == ".json" and "format" in read_json(target):
         return _estimate(target)
     return _csv(target, root)
 

@@ -338,7 +338,7 @@ def test_a_material_file_is_recognised(tmp_path: Path) -> None:
         ("a.toml", "title = 'x'\n", 'key `format` is missing; a scenario begins with format = "scenario/1"'),
         ("a.toml", "format = 'scenario/2'\n", "did you mean `scenario/1`?"),
         ("a.csv", "x,y\n1,2\n", "is not a record, vehicle, scenario or ratio table"),
-        ("a.json", "{}", "key `format` is missing"),
+        ("a.json", "{}", "is not a record, vehicle, scenario or ratio table"),
         ("a.csv", "alpha_deg,ratio\n1,2\n", "there is no column `beta_deg`"),
     ],
 )
