@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import betaincinv
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.search.trials.trial_fit import TrialFit
@@ -45,9 +44,12 @@ def with_simulated_p_value(
 
 def _may_be(p: float, larger: int, made: int) -> bool:
     """Whether the 95 % interval of a share, `larger` of `made`, holds p (Clopper and Pearson 1934)."""
-    low = 0.0 if larger == 0 else betaincinv(larger, made - larger + 1.0, 0.025)
-    high = 1.0 if larger == made else betaincinv(larger + 1.0, made - larger, 0.975)
-    return bool(low <= p <= high)
+    from scipy.stats import binomtest
+
+    if made == 0:
+        return True
+    interval = binomtest(larger, made).proportion_ci(0.95, method="exact")
+    return bool(interval.low <= p <= interval.high)
 
 
 def _statistics(trial: TrialFit, count: int, rng: np.random.Generator) -> FloatArray:
