@@ -214,7 +214,7 @@ scenario = "glide.toml"
 horizon_s = 60.0
 """
 LINES = """format = "link/1"
-vehicle = "./orbiter"
+vehicle = "{vehicle}"
 control_points = ["{point}"]
 [[source]]
 kind = "json-lines"
@@ -630,7 +630,7 @@ def make_inputs(home: Path, closed: bool = True) -> None:
         "link.toml": LINK.format(point=POINT),
         "packets.xml": (ROOT / "tests" / "live" / "data" / "entry.xml").read_text(),
         "temperatures.csv": TEMPERATURES + "".join(f"{t},{20 + t / 2},{20 + t / 4}\n" for t in range(0, 120, 4)),
-        "lines.toml": LINES.format(point=POINT),
+        "lines.toml": LINES.format(vehicle="./orbiter", point=POINT),
         "flight.jsonl": "".join(f"{message(k).decode()}\n" for k in range(MESSAGES)),
         "fit.toml": FIT,
         "layout.toml": LAYOUT,

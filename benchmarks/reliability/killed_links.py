@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.journals import POINT, message, missing, wrong_units
 from benchmarks.measure import Figure, Keep
+from benchmarks.mutants.subjects import LINES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import results_digest, settle
 from sim_heating.cli import main
@@ -21,20 +22,7 @@ from sim_heating.live.results.files import RESULT
 from tests.support.kills import killed, operations
 
 MESSAGES = 60
-LINK = f"""format = "link/1"
-vehicle = "orbiter"
-control_points = ["{POINT}"]
-[[source]]
-kind = "json-lines"
-transport = "file"
-file = "flight.jsonl"
-[[sensor]]
-sensor = "{POINT}"
-field = "tc"
-unit = "K"
-[estimate]
-parameters = ["ratio.scale"]
-"""
+LINK = LINES.format(vehicle="orbiter", point=POINT)
 
 
 def killed_links(kills: int | None, seed: int) -> dict[str, int]:
