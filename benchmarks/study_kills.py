@@ -19,8 +19,9 @@ from pathlib import Path
 import click
 
 from benchmarks.measure import Figure, save
-from sim_heating.planning.plan import LEDGER, PAGE, SUMMARY
+from sim_heating.planning.plan import PAGE, SUMMARY
 from tests.support.kills import inputs, readable, snapshot
+from tests.support.studies import finished_batches
 
 KILLS = 20
 FLIGHTS = 48
@@ -45,15 +46,10 @@ def start(study: Path, out: Path, workers: int) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def finished(out: Path) -> dict[Path, int]:
-    """Finished batches of a study with their times of writing."""
-    return {p: p.stat().st_mtime_ns for folder in out.glob(f"{LEDGER}/*") for p in folder.glob("*.parquet")}
-
-
 def kill_once(study: Path, out: Path, batches: int, wait_s: float) -> bool:
     """Start a study and kill it, some time after a number of its batches is finished; whether it still ran."""
     run = start(study, out, 2)
-    while run.poll() is None and len(finished(out)) < batches:
+    while run.poll() is None and len(finished_batches(out)) < batches:
         time.sleep(0.005)
     time.sleep(wait_s)
     running = run.poll() is None
@@ -77,10 +73,10 @@ def run() -> list[Figure]:
             kills += kill_once(study, out, moments.randint(0, MOST_BATCHES), moments.uniform(0.0, 0.3))
             if (out / SUMMARY).exists() and not (out / PAGE).exists():
                 faults.append(f"kill {number}: a summary without its page")
-            kept = finished(out)
+            kept = finished_batches(out)
             if start(study, out, 1).wait() != 0 or readable(snapshot(out)) != whole:
                 faults.append(f"kill {number}: other results")
-            if {p: t for p, t in finished(out).items() if p in kept} != kept:
+            if {p: t for p, t in finished_batches(out).items() if p in kept} != kept:
                 faults.append(f"kill {number}: a finished batch was computed again")
             click.echo(f"{number + 1} of {KILLS}: {len(kept)} batches kept, {len(faults)} faults")
     figures = [

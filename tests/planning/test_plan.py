@@ -28,7 +28,7 @@ from sim_heating.base.parallel import batches
 from sim_heating.planning.study import load_study
 from tests.support.browser import assert_fits, assert_harmless, hostile, needs_browser
 from tests.support.json_output import run_json
-from tests.support.studies import entry_3dof
+from tests.support.studies import entry_3dof, finished_batches
 from tests.support.systems import posix
 
 STUDY = f"""
@@ -76,11 +76,6 @@ def results(out):
     }
 
 
-def finished_batches(out):
-    """Files of finished batches; temporary folders of the run come and go while they are listed."""
-    return [p for folder in out.glob("batches/*") for p in folder.glob("*.parquet")]
-
-
 def start(study, out, workers, **environment):
     arguments = [sys.executable, "-m", "sim_heating", "plan", str(study), "--out", str(out), "--workers", str(workers)]
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
@@ -114,10 +109,10 @@ def test_killed_study_continues_to_the_same_bytes_on_any_worker_count(by_a_fresh
     os.killpg(run.pid, signal.SIGKILL)
     run.wait()
     assert not (out / "study.json").exists() or (out / "report.html").exists()
-    kept = {p: p.stat().st_mtime_ns for p in finished_batches(out)}
+    kept = finished_batches(out)
     assert len(kept) >= wanted
     assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 0
-    assert {p: p.stat().st_mtime_ns for p in kept} == kept  # nothing that was finished is done again
+    assert {p: t for p, t in finished_batches(out).items() if p in kept} == kept  # none is done again
     assert results(out) == whole
 
 

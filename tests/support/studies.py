@@ -1,6 +1,11 @@
-"""Trajectory shared by the studies of the tests: an entry of the Orbiter in three degrees of freedom."""
+"""What tests of studies share: an entry of the Orbiter in three degrees of freedom, and the batches of a run."""
 
 from __future__ import annotations
+
+from pathlib import Path
+
+from sim_heating.base.parallel.batches import digest_path
+from sim_heating.planning.plan import LEDGER
 
 
 def entry_3dof(stop: str, sample_s: float = 1.0, altitude_m: float = 121920.0, velocity_m_s: float = 7450.0) -> str:
@@ -19,3 +24,12 @@ longitude_deg = 170.0
 [trajectory.stop]
 {stop}
 """
+
+
+def finished_batches(out: Path) -> dict[Path, int]:
+    """Results in the ledger of a study that have their digest, with their times of writing.
+
+    A kill may come between the two files: such a result is computed again.
+    """
+    results = [p for folder in out.glob(f"{LEDGER}/*") for p in folder.glob("*.parquet")]
+    return {p: p.stat().st_mtime_ns for p in results if digest_path(p.parent, p.name).exists()}

@@ -155,7 +155,7 @@ def _store_result(out: Path, job_id: str, result: bytes | BaseException) -> None
     else:
         write_bytes_atomic(out / job_id, result)
         # Written after the result: one that a kill leaves without its digest is computed again.
-        write_text_atomic(_digest_path(out, job_id), f"{bytes_digest(result)}\n")
+        write_text_atomic(digest_path(out, job_id), f"{bytes_digest(result)}\n")
         error.unlink(missing_ok=True)
 
 
@@ -163,13 +163,14 @@ def _stored_result(out: Path, job_id: str) -> bytes | None:
     """A job's result of an earlier run; None where there is none, or it is not what was written."""
     try:
         result = (out / job_id).read_bytes()
-        is_intact = _digest_path(out, job_id).read_bytes() == f"{bytes_digest(result)}\n".encode()
+        is_intact = digest_path(out, job_id).read_bytes() == f"{bytes_digest(result)}\n".encode()
     except OSError:
         return None
     return result if is_intact else None
 
 
-def _digest_path(out: Path, job_id: str) -> Path:
+def digest_path(out: Path, job_id: str) -> Path:
+    """File of a result's digest: a result without it is not finished."""
     return out / f".{job_id}.sha256"
 
 
