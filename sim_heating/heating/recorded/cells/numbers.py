@@ -24,6 +24,8 @@ the file."""
 PLAIN_CHARACTERS = set("0123456789.+-eE")
 WITH_UNIT = re.compile(r"([+-]?[\d.,'\u00a0\u202f]*\d[.,]?(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:+-].*)")
 GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{0}\d{{3}})+"
+EITHER = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}")
+"""A number whose sign may be that of decimals or of thousands."""
 LEAST_WHOLE = 3
 """Different whole numbers of three digits that show a sign of thousands; one or two may be codes of lost samples."""
 EXPONENT = r"(?:[eE][+-]?\d+)?"
@@ -104,7 +106,8 @@ def _shown_signs(
         blank = next((b for b in BLANKS if b in joined), blank)
         signs = {sign for sign in ".," if sign in joined}
         for row, cell in enumerate(cells) if signs else ():
-            shown = _sign_of(cell)
+            either = EITHER.fullmatch(cell)
+            shown = (False, either[1]) if either else _sign_of(cell)
             if shown is not None:
                 (evidence if shown[0] else open_cells).setdefault(shown[1], (row, k))
                 if shown[0] and len(signs) == 1:
