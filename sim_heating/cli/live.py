@@ -176,8 +176,7 @@ def _follow(
         ended = True
     except KeyboardInterrupt:
         journal.close(is_end=False)  # which removes that of a link that was not begun
-        if (directory / NAME).is_file():
-            print_warning(f"{directory / NAME} keeps what came: the same command goes on from it")
+        print_warning(_kept_line(directory / NAME))
         raise
     finally:
         journal.close(is_end=ended)
@@ -190,6 +189,13 @@ def _follow(
     print_outputs(directory, [NAME, *names], RESULT)
     if RECORDS in names:
         CONSOLE.print(f"Records for `sim-heating estimate`: {directory / RECORDS}, one of each control point")
+
+
+def _kept_line(journal: Path) -> str:
+    """What a link keeps that ends without results; its journal is closed."""
+    if journal.is_file():
+        return f"{journal} keeps what came: the same command goes on from it"
+    return "nothing had come: no journal is kept"
 
 
 def _written(engine: LinkEngine, state: State, directory: Path) -> tuple[list[str], list[str]]:

@@ -16,6 +16,7 @@ import pytest
 
 from benchmarks.journals import damaged_journals
 from sim_heating.base.errors import InputError
+from sim_heating.live.recording import journal as journal_module
 from sim_heating.live.recording.journal import BODY, HEAD, NAME, Journal, damage_of, read_head, read_journal
 from sim_heating.live.types import LONGEST_BODY
 
@@ -167,6 +168,34 @@ def test_damaged_journals_of_all_kinds_lose_what_was_damaged_alone():
 def test_a_link_that_was_not_begun_leaves_no_journal(tmp_path):
     journal(tmp_path).close(is_end=False)
     assert not (tmp_path / NAME).exists()
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # of files that are open in the moment of an interrupt
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_while_a_journal_is_made_leaves_nothing(tmp_path):
+    """At each line of its module that is run for it."""
+    for number in range(1000):
+        lines = iter(range(number))
+
+        def interrupt(frame, event, _, lines=lines):
+            if frame.f_code.co_filename != journal_module.__file__:
+                return None
+            if event == "line" and next(lines, None) is None:
+                raise KeyboardInterrupt
+            return interrupt
+
+        before = sys.gettrace()
+        sys.settrace(interrupt)
+        try:
+            begun = journal(tmp_path / "out")
+        except KeyboardInterrupt:
+            assert list(tmp_path.iterdir()) == [], f"line {number}"
+        else:
+            break
+        finally:
+            sys.settrace(before)
+    begun.close(is_end=False)
+    assert number > 50
 
 
 def test_a_journal_is_gone_on_with_by_the_same_link_alone(tmp_path):

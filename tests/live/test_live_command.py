@@ -7,8 +7,10 @@ import os
 import re
 import signal
 import socket
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ import sim_heating as sh
 from sim_heating.base.files import read_json
 from sim_heating.cli import main
 from sim_heating.inputs.record import load_record, write_record
+from sim_heating.live.engine import LinkEngine
 from sim_heating.live.recording.journal import open_again
 from sim_heating.live.recording.to_record import with_heated_start
 from tests.live.links import FRAME, free_port, json_lines, part_of_record
@@ -74,6 +77,42 @@ def the_error(capsys: pytest.CaptureFixture[str], *arguments: str, status: int =
     assert len(lines) == 1, lines
     assert lines[0].startswith("error: ")
     return lines[0]
+
+
+def interrupted_before_it_follows(*arguments: str) -> int:
+    """Exit status of a link that Ctrl-C reaches once it has its journal, before anything is compiled."""
+
+    def interrupt(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and frame.f_code is LinkEngine.__init__.__code__:
+            raise KeyboardInterrupt
+
+    before = sys.gettrace()
+    sys.settrace(interrupt)
+    try:
+        return main(["live", *arguments])
+    finally:
+        sys.settrace(before)
+
+
+def test_a_link_that_is_interrupted_before_anything_came_tells_so(tmp_path, capsys):
+    (tmp_path / "link.toml").write_text(LINK)
+    (tmp_path / "flight.jsonl").touch()
+    assert interrupted_before_it_follows(str(tmp_path / "link.toml"), "--headless", "--out", str(tmp_path / "out")) == 130
+    told = capsys.readouterr()
+    assert "nothing had come: no journal is kept" in told.out
+    assert "interrupted: nothing was left half-written" in told.err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.thorough
+def test_a_link_that_is_interrupted_again_tells_what_its_journal_keeps(tmp_path, capsys):
+    given = (str(of_vehicle(tmp_path, frames=2)), "--headless", "--out", str(out := tmp_path / "out"))
+    assert main(["live", *given, "--quiet"]) == 0
+    open_again(out / "journal.bin")  # as where the process was killed
+    (out / "live.json").unlink()
+    assert interrupted_before_it_follows(*given) == 130
+    told = " ".join(capsys.readouterr().out.split())
+    assert "journal.bin keeps what came: the same command goes on from it" in told
 
 
 @pytest.mark.thorough

@@ -471,15 +471,39 @@ class Journal:
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._created = [p for p in (path.parent, *path.parent.parents) if not p.exists()]
+        self._held = FileLock(path.with_suffix(".lock"))
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._held = FileLock(path.with_suffix(".lock"))
+            self._take_place()
+            self._begin(link, link_path, means, sent_again, has_results)
+        except KeyboardInterrupt:
+            self._ended.set()
+            with contextlib.suppress(InputError):
+                if self._held.is_locked and _is_empty(read_head(path)):
+                    path.unlink()
+            self._release()
+            raise
+
+    def _take_place(self) -> None:
+        """Make the folder, and lock it against other links."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
             self._held.acquire(timeout=0)
         except Timeout:
             rule = "another link writes it; end that one, or name another directory"
-            raise InputError(f"{display_path(path)}: {rule}") from None
+            raise InputError(f"{display_path(self.path)}: {rule}") from None
         except OSError as error:
-            raise InputError(f"{display_path(path)}: {os_error_reason(error)}; name another directory") from None
+            raise InputError(f"{display_path(self.path)}: {os_error_reason(error)}; name another directory") from None
+
+    def _begin(
+        self,
+        link: Mapping[str, Any],
+        link_path: Path,
+        means: Mapping[str, Any] | None,
+        sent_again: str,
+        has_results: bool,
+    ) -> None:
+        """Open the file, a new one or one that is gone on with, and keep it synced."""
+        path = self.path
         try:
             require_usable(path, link, means, sent_again, has_results)
             if not has_results and path.is_file():
@@ -505,7 +529,7 @@ class Journal:
             self._header = stream.readline()
         self._header_due = self._disk.size + HEADER_EVERY if self.is_resumed else 0
         self._thread = threading.Thread(target=self._keep_synced, name="journal", daemon=True)
-        if fsync_s > 0.0:
+        if self._fsync_s > 0.0:
             self._thread.start()
 
     def _goes_on(self, path: Path, means: Mapping[str, Any] | None) -> bool:
@@ -612,9 +636,10 @@ class Journal:
 
         Folders that were made for a journal that was not begun are empty, and are removed.
         """
-        with contextlib.suppress(OSError):
-            self.path.with_suffix(".lock").unlink()
-        self._held.release()
+        if self._held.is_locked:
+            with contextlib.suppress(OSError):
+                self.path.with_suffix(".lock").unlink()
+            self._held.release()
         with contextlib.suppress(OSError):
             for folder in self._created:
                 folder.rmdir()
