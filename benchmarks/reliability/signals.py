@@ -80,15 +80,19 @@ def start(arguments: str, place: Path) -> subprocess.Popen[bytes]:
 
 
 def signalled(arguments: str, number: signal.Signals, moment_s: float, place: Path) -> list[str]:
-    """Faults of a command that a signal reaches at a moment after its start; none where it ends as it should.
-
-    number : SIGINT goes to all processes of the terminal, the others to the command alone
-    """
+    """Faults of a command that a signal reaches at a moment after its start; none where it ends as it should."""
     process = start(arguments, place)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(moment_s)
-    had_ended = process.poll() is not None
-    if not had_ended:
+    return faults_at(process, number, place)
+
+
+def faults_at(process: subprocess.Popen[bytes], number: signal.Signals, place: Path) -> list[str]:
+    """Faults of a command that `start` has begun, and that a signal reaches now.
+
+    number : SIGINT goes to all processes of the terminal, the others to the command alone
+    """
+    if process.poll() is None:
         with contextlib.suppress(ProcessLookupError):
             (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
     try:

@@ -77,17 +77,21 @@ class Source:
     path  : of the file
     rows  : (row,) line of each row in it
     names : column of the table -> its name in the file; another one is of this name
+    options : column of the table -> the option that states it, where it is not of the file
     """
 
     path: Path
     rows: Sequence[int]
     names: Mapping[str, str]
+    options: Mapping[str, str] = field(default_factory=dict)
 
     def shown(self, line: str, table: str) -> str:
         """A line about the table that is made, with the file, the row and the column that the person has."""
         match = re.fullmatch(r"(?:, row (\d+))?, column (\S+?): (.*)", line.removeprefix(table), re.DOTALL)
         if not line.startswith(table) or match is None or int(match[1] or 2) - 2 >= len(self.rows):
             return line
+        if match[2] in self.options:
+            return f"{self.options[match[2]]}: {match[3]}"
         row = "" if match[1] is None else f", row {self.rows[int(match[1]) - 2]}"
         return f"{display_path(self.path)}{row}, column {self.names.get(match[2], match[2])}: {match[3]}"
 
@@ -102,7 +106,7 @@ class Heat:
     note      : in words
     notes     : what was converted and derived
     uncertainty : of a flight whose density is not of the day; its confidence is then C
-    source    : file of a flight whose rows those of the columns are; None where they are of no file
+    source    : file of a person whose rows those of the columns are
     """
 
     columns: Mapping[str, FloatArray]
@@ -215,7 +219,7 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
     if lamp == UNKNOWN:
         if absorptance is not None:
             raise InputError("--absorptance: is of a known --lamp; of an unknown one the absorbed flux is estimated")
-        return _unknown_flux(measured.of_kind(TIME)[0].si, lit_s)
+        return _unknown_flux(measured, lit_s)
     if lamp in columns or Path(lamp).is_file():
         if lit_s is not None:
             raise InputError("--lit: is for a constant --lamp; a column or a file states when the lamp was lit")
@@ -229,7 +233,7 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
     if re.fullmatch(rf"\s*{NUMBER}\s*", lamp):
         raise InputError(f"--lamp {lamp}: has no unit; write {FLUX_EXAMPLE}")
     lamp_W_m2 = quantity(lamp, "W/m2", "--lamp", f"--lamp {FLUX_EXAMPLE}")
-    return _constant_flux(measured.of_kind(TIME)[0].si, lamp_W_m2, lit_s, absorptance)
+    return _constant_flux(measured, lamp_W_m2, lit_s, absorptance)
 
 
 def _recorded_flux(measured: MeasuredCsv, lamp: str, flux_column: CsvColumn | None, absorptance: float | None) -> Heat:
@@ -274,19 +278,22 @@ def _flux_file(measured: MeasuredCsv, lamp: str) -> tuple[MeasuredCsv, FloatArra
 
 
 def _constant_flux(
-    times: FloatArray, lamp_W_m2: float, lit_s: tuple[float, float] | None, absorptance: float | None
+    measured: MeasuredCsv, lamp_W_m2: float, lit_s: tuple[float, float] | None, absorptance: float | None
 ) -> Heat:
     """A constant flux while the lamp is lit."""
+    times = measured.of_kind(TIME)[0].si
     flux_W_m2 = float(f"{(1.0 if absorptance is None else absorptance) * lamp_W_m2:.12g}")
     absorbed = f"{flux_W_m2:g} W/m2 absorbed{'' if absorptance is None else f', {absorptance:g} of {lamp_W_m2:g} W/m2'}"
     if lit_s is None:
         meaning = "flux that the surface absorbs, from the first row to the last"
-        ends = {"time_s": times[[0, -1]]}
-        return Heat(ends, (("q_add_W_m2", flux_W_m2, meaning),), "none", f"{absorbed}, throughout")
+        ends, constants = times[[0, -1]], (("q_add_W_m2", flux_W_m2, meaning),)
+        source = _source_of_clock(measured, ends)
+        return Heat({"time_s": ends}, constants, "none", f"{absorbed}, throughout", source=source)
     clock, lit = _lit(times, lit_s)
     after = "" if lit_s[1] <= times[-1] else f", which is after the last reading, {times[-1]:g} s (--lit)"
     note = f"{absorbed}, from {lit_s[0]:g} to {lit_s[1]:g} s{after}"
-    return Heat({"time_s": clock, "q_add_W_m2": flux_W_m2 * lit}, (), "none", note)
+    columns = {"time_s": clock, "q_add_W_m2": flux_W_m2 * lit}
+    return Heat(columns, (), "none", note, source=_source_of_clock(measured, clock))
 
 
 def _later_s(file: MeasuredCsv, measured: MeasuredCsv) -> float:
@@ -322,8 +329,16 @@ def _lit(times: FloatArray, lit_s: tuple[float, float]) -> tuple[FloatArray, Flo
     return clock, lit
 
 
-def _unknown_flux(times: FloatArray, lit_s: tuple[float, float] | None) -> Heat:
+def _source_of_clock(measured: MeasuredCsv, clock: FloatArray) -> Source:
+    """The readings as the file of conditions at some of their times [s], each with the row of the last reading then."""
+    (column,) = measured.of_kind(TIME)[:1]
+    last = np.searchsorted(column.si, clock, side="right") - 1
+    return Source(measured.path, [measured.rows[i] for i in last], {"time_s": column.name}, {"q_add_W_m2": "--lamp"})
+
+
+def _unknown_flux(measured: MeasuredCsv, lit_s: tuple[float, float] | None) -> Heat:
     """A lamp of unknown flux as a heating whose ratio is to be estimated: q = ratio.d0 * 10 kW/m2 while it is lit."""
+    times = measured.of_kind(TIME)[0].si
     clock, lit = (times[[0, -1]], np.ones(2)) if lit_s is None else _lit(times, lit_s)
     T_0, p_0, _ = (float(x) for x in us76(0.0))
     still = {name: 0.0 for name in STATE if name != "time_s"}
@@ -338,7 +353,7 @@ def _unknown_flux(times: FloatArray, lit_s: tuple[float, float] | None) -> Heat:
         f"an unknown flux {when}: `estimate` finds ratio.d0, the absorbed flux in units of {UNIT_FLUX_W_M2 / 1e3:g} "
         "kW/m2; heat capacity and emittance are then taken as declared; `predict` needs it"
     )
-    return Heat(flux, constants, "columns", note)
+    return Heat(flux, constants, "columns", note, source=_source_of_clock(measured, clock))
 
 
 def flown_heat(

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
 from benchmarks.reliability.flights import full_disks, hostile_topics, set_clocks, set_stamps
 from benchmarks.reliability.killed_links import killed_links
 from benchmarks.reliability.results import damaged_results
-from benchmarks.reliability.signals import commands, signals
+from benchmarks.reliability.signals import commands, faults_at, signals, start
+from tests.support.kills import inputs
 
 pytestmark = [
     pytest.mark.thorough,
@@ -52,3 +56,13 @@ def test_a_killed_link_is_gone_on_with() -> None:
 def test_signals_leave_the_status_the_object_and_nothing_else() -> None:
     for name in ("run", "new effect"):
         assert signals(name, commands()[name], count=1, seed=1) == []
+
+
+def test_a_study_that_loses_its_terminal_leaves_no_worker_and_no_folder(tmp_path: Path) -> None:
+    """SIGHUP reaches the command alone; its workers have folders among the temporary ones."""
+    process = start(f"plan {inputs()}/before_study.toml --out OUT --workers 2", tmp_path)
+    while not list((tmp_path / "tmp").glob("sim_heating_workers_*/*")):
+        assert process.poll() is None, (tmp_path / "stderr").read_text()
+        time.sleep(0.02)
+    assert faults_at(process, signal.SIGHUP, tmp_path) == []
+    assert process.returncode == 128 + signal.SIGHUP

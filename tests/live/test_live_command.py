@@ -97,11 +97,12 @@ def interrupted_before_it_follows(*arguments: str) -> int:
 def test_a_link_that_is_interrupted_before_anything_came_tells_so(tmp_path, capsys):
     (tmp_path / "link.toml").write_text(LINK)
     (tmp_path / "flight.jsonl").touch()
-    assert interrupted_before_it_follows(str(tmp_path / "link.toml"), "--headless", "--out", str(tmp_path / "out")) == 130
+    link, out = tmp_path / "link.toml", tmp_path / "out"
+    assert interrupted_before_it_follows(str(link), "--headless", "--out", str(out)) == 130
     told = capsys.readouterr()
     assert "nothing had come: no journal is kept" in told.out
     assert "interrupted: nothing was left half-written" in told.err
-    assert not (tmp_path / "out").exists()
+    assert not out.exists()
 
 
 @pytest.mark.thorough

@@ -407,6 +407,20 @@ def test_a_number_without_a_unit_or_out_of_range_is_refused_by_the_name_of_its_o
     assert not Path("a").exists()
 
 
+@pytest.mark.parametrize("lamp", ["20kW/m2", "unknown"])
+@pytest.mark.parametrize("lit", [(), ("--lit", "0,2")])
+def test_a_time_of_the_conditions_is_refused_by_the_row_of_the_readings(lamp: str, lit: tuple[str, ...]) -> None:
+    Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n3000000,303\n")
+    told = refused(*LAMP[:-1], lamp, *lit, "--out", "a")
+    assert "t.csv, row 5, column time: 3e+06 is more than 1e+06 s after the first row" in told
+
+
+@pytest.mark.parametrize("lit", [(), ("--lit", "0,2")])
+def test_an_impossible_flux_is_refused_by_its_option(lit: tuple[str, ...]) -> None:
+    Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n")
+    assert refused(*LAMP[:-1], "20GW/m2", *lit, "--out", "a").startswith("--lamp: 2e+10 is not a flux in W/m2")
+
+
 def test_temperatures_that_were_typed_are_among_what_was_used() -> None:
     Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n")
     made = run(*LAMP, "--surroundings", "21degC", "--initial", "26.85degC", "--noise", "1degC", "--out", "a")
