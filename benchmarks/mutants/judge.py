@@ -324,7 +324,7 @@ def _result_fault(out: Path) -> str:
     for path in sorted(out.rglob("*")):
         if path.suffix == ".json":
             try:
-                json.loads(path.read_text(), parse_constant=_refuse_constant)
+                json.loads(path.read_text("utf-8-sig"), parse_constant=_refuse_constant)
             except ValueError as error:
                 return f"not finite: {path.name}: {error}"
         elif path.suffix == ".csv":

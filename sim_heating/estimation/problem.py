@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import InputError, RunError, failure_context
+from sim_heating.base.files import display_path
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parallel.threads import in_threads
 from sim_heating.base.parameters import AT, Parameter
@@ -320,9 +321,12 @@ class FitProblem:
 
     def _samples_of_group(self, k: int, vector: FloatArray) -> list[tuple[RecordFit, list[PredictedSamples]]]:
         """All channels of each record of a group."""
+        group = self.marches.groups[k]
+        with failure_context(", ".join(display_path(fit.record.directory) for fit in group)):
+            marches = self.marches.of_group(k, vector)
         return [
             (record_fit, self._samples_of_record(record_fit, record_fit.corrected(marched, vector), vector))
-            for record_fit, marched in zip(self.marches.groups[k], self.marches.of_group(k, vector), strict=True)
+            for record_fit, marched in zip(group, marches, strict=True)
         ]
 
     def marched(self, vector: FloatArray) -> list[Linearised]:

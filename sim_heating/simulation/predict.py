@@ -14,8 +14,8 @@ from scipy.special import ndtri
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.errors import InputError
-from sim_heating.base.files import output_directory, write_json
+from sim_heating.base.errors import InputError, failure_context
+from sim_heating.base.files import display_path, output_directory, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.credibility.facts.of_records import facts_of_record
 from sim_heating.credibility.statement import Facts, Statement, assess
@@ -172,7 +172,8 @@ def predict(
     inside_s = t[(t >= span[0]) & (t <= span[1])]
     if len(inside_s) == 0:
         raise InputError(f"{record.name}: no measurement lies within the conditions ({span[0]:g} to {span[1]:g} s)")
-    marched = march_points([model], [conditions], extra_times_s=inside_s)[0]
+    with failure_context(display_path(record.directory)):
+        marched = march_points([model], [conditions], extra_times_s=inside_s)[0]
     history = replace(_resampled(marched, t), time_s=record.time_s)
     pairs, since_s = zip(record.sensors, history.sensors_K, strict=True), record.time_s - record.time_s[0]
     indicated = np.array([indicated_temperature(s, values, faults.get(s.name), since_s) for s, values in pairs])

@@ -309,7 +309,8 @@ def run(
         flight = fly_scenario(scenario, progress=partial(flying, progress), on_frame=alongside)
     progress(FLIGHT_FRACTION, "marching the control points")
     models, flights = models_of(scenario, flight.conditions)
-    histories = march_points(models, flights, longest_step_s=heating.longest_step_s)
+    with failure_context(display_path(scenario.path)):
+        histories = march_points(models, flights, longest_step_s=heating.longest_step_s)
     points = {m.name: PointResult(m, c, h) for m, c, h in zip(models, flights, histories, strict=True)}
     progress(0.85, "temperatures done")
     return RunResult(scenario, flight, points, None if alongside is None else alongside.differences_K(histories))

@@ -14,8 +14,8 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import DERIVED, RATIO_VARIABLES, Conditions
-from sim_heating.base.errors import InputError
-from sim_heating.base.files import check, output_directory, text_bytes, toml_text, write_text_atomic
+from sim_heating.base.errors import InputError, failure_context
+from sim_heating.base.files import check, display_path, output_directory, text_bytes, toml_text, write_text_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.facts.sources import conditions_of_scenario
 from sim_heating.heating.atmosphere import G0_M_S2
@@ -78,14 +78,15 @@ def synthesize(
     clocks = [_clock(scenario, p, flight) for p, _, _ in measurable]
     # A clock skew moves the instants that are measured, not the times that are recorded.
     true_times = [_within(clock - measurements.clock_skew_s, flown) for clock in clocks]
-    histories = march_points(
-        [m.with_lags(lags_s(p.sensors, _faults(scenario))) for p, m, _ in measurable],
-        [_at_true_pressure(scenario, c) for _, _, c in measurable],
-        extra_times_s=np.unique(np.concatenate(true_times)),
-        longest_step_s=scenario.declared.heating.longest_step_s,
-        tolerance_K=SYNTHESIS_TOLERANCE_K,
-        halvings=halvings,
-    )
+    with failure_context(display_path(scenario.path)):
+        histories = march_points(
+            [m.with_lags(lags_s(p.sensors, _faults(scenario))) for p, m, _ in measurable],
+            [_at_true_pressure(scenario, c) for _, _, c in measurable],
+            extra_times_s=np.unique(np.concatenate(true_times)),
+            longest_step_s=scenario.declared.heating.longest_step_s,
+            tolerance_K=SYNTHESIS_TOLERANCE_K,
+            halvings=halvings,
+        )
     progress(0.9, "measuring")
     return {
         p.name: _record(scenario, p, c, h, clock, flight.windows)

@@ -49,7 +49,12 @@ from sim_heating.heating.recorded.cells.numbers import (
 )
 from sim_heating.heating.recorded.cells.text import decoded, is_clock, is_number, rows_block, text_block
 from sim_heating.templates.loggers.files import kind_of_file, read_table
-from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
+from sim_heating.templates.loggers.layout_file import (
+    LayoutColumn,
+    LoggerLayout,
+    reading_unit_problem,
+    time_unit_problem,
+)
 from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
 from sim_heating.templates.loggers.readings import OPEN, far_off, fault_codes, lost_codes
 from sim_heating.templates.loggers.thermocouples import EXAMPLE as THERMOCOUPLE_EXAMPLE
@@ -99,7 +104,6 @@ UNIX_S = (9.4e8, 4.1e9)
 DAY_NUMBERS = (36526.0, 73050.0)
 """Days of a spreadsheet, 2000 to 2099."""
 SHORTEST_STEP_S = 1e-3
-DURATIONS = ("s", "ms", "min", "h", "us")
 EXAMPLE = "--time COLUMN"
 SHOWN_ROWS = 5
 NAMED_ROWS = 5
@@ -259,7 +263,8 @@ def read_measured_csv(
         "lost": [*base.lost, *lost],
     }
     chosen = base.model_copy(update={key: value for key, value in stated.items() if value is not None})
-    _require_unit_of_time(chosen.time_unit)
+    if time_unit is not None and (problem := time_unit_problem(time_unit)):
+        raise InputError(f"--time-unit {time_unit}: {problem}")
     block = _long_as_wide(_with_unit_column(_block(path, chosen)))
     heads, signs = _heads(block, chosen)
     heads = _joined_dates(heads)
@@ -288,11 +293,6 @@ def read_measured_csv(
     if TEMPERATURE in kinds:
         _name_far_off(measured)
     return measured
-
-
-def _require_unit_of_time(unit: str | None) -> None:
-    if unit is not None and unit not in CLOCKS and converted(unit, "s") is None:
-        raise InputError(f"--time-unit {unit}: is not a unit of time; give one of {', '.join((*DURATIONS, *CLOCKS))}")
 
 
 def _unused(columns: Sequence[CsvColumn], names: Collection[str], reason: str) -> list[CsvColumn]:
@@ -1064,10 +1064,8 @@ def _with_stated_unit(path: Path, column: CsvColumn, unit: str, is_declared: boo
     """
     kind, si = column.kind, SI_UNITS[column.kind]
     option = UNIT_OPTIONS[kind].split()[0]
-    if converted(unit, si) is None:
-        raise InputError(
-            f"{option} {unit}: is not a unit of {kind}; give {'K, degC or degF' if kind == TEMPERATURE else 'W/m2'}"
-        )
+    if problem := reading_unit_problem(unit, kind):
+        raise InputError(f"{option} {unit}: {problem}")
     if is_declared and column.unit and converted(column.unit, si) != converted(unit, si):
         raise InputError(
             f"{display_path(path)}, column {column.name}: the file says {column.unit}, and --layout {unit}; correct "

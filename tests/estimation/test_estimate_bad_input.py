@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import read_csv_columns, read_json, write_csv
 from sim_heating.base.parameters import MODEL, Parameter
 from sim_heating.cli import main
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference import newton
+from sim_heating.simulation.predict import predict
 from tests.support.walls import PRACTICE, practice_record
 
 Change = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]
@@ -31,6 +32,15 @@ def damaged(home: Path, file: str, change: Change) -> Path:
     columns = read_csv_columns(path, names, allow_empty=[n for n in names if n.startswith("LS_")])
     write_csv(path, change({name: np.array(columns[name]) for name in names}))
     return home / "p06"
+
+
+@pytest.mark.parametrize("command", [predict, partial(estimate, parameters=["ratio.scale"])])
+def test_a_march_that_fails_is_told_with_its_record(command: Callable[[object], object]) -> None:
+    """Of a table that no file may hold: a flow that cools the wall by three times what is to heat it."""
+    record, _ = practice_record("p06")
+    record = replace(record, ratio_table=replace(record.ratio_table, ratio=-3.0 * record.ratio_table.ratio))
+    with pytest.raises(RunError, match=r"records/practice/p06: LS: the thermal step did not converge"):
+        command(record if command is predict else [record])
 
 
 def run_estimate(capsys, *arguments: object) -> tuple[int, str]:

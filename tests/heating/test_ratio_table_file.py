@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,14 @@ def test_a_damaged_cell_or_column_name_is_reported(tmp_path: Path, old: str, new
     text = "\n".join(lines())
     assert old in text
     assert expected in problem(tmp_path, text.replace(old, new, 1).splitlines())
+
+
+def test_a_table_of_negative_ratios_alone_is_refused(tmp_path: Path) -> None:
+    """A flow may cool a node of a revised table, not a whole vehicle."""
+    table = read_ratio_table(TILE)
+    write_ratio_table(tmp_path / "a.csv", replace(table, ratio=-table.ratio))
+    with pytest.raises(InputError, match=r"a.csv, column ratio: no ratio is above 0, and the least is -0\."):
+        read_ratio_table(tmp_path / "a.csv")
 
 
 def test_inconsistent_axes_and_ratios_are_rejected() -> None:

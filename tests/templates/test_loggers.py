@@ -619,6 +619,20 @@ def test_a_layout_is_kept_for_the_next_files_of_the_recorder() -> None:
     assert "decimals" in refused("new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c")
 
 
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ('time_unit = "K"', "rig.toml: `time_unit`: `K` is not a unit of time; give one of s, ms,"),
+        ('temperature_unit = "m"', "rig.toml: `temperature_unit`: `m` is not a unit of temperature; give K, degC or"),
+        ('flux_unit = "K"', "rig.toml: `flux_unit`: `K` is not a unit of heat flux; give W/m2"),
+        ('[[column]]\nname = "TC"\nunit = "s"', "rig.toml, [column] 1: `unit`: `s` is not a unit of temperature"),
+    ],
+)
+def test_a_layout_whose_unit_is_none_is_refused_by_its_file_and_key(stated: str, said: str) -> None:
+    Path("rig.toml").write_text(f'format = "logger-layout/1"\n{stated}\n')
+    assert said in refused("validate", "rig.toml")
+
+
 def test_a_layout_states_the_unit_of_fluxes_that_state_none() -> None:
     rows("Time (s);T (C);heat flux", [f"{2 * k};{20 + k};18" for k in range(61)])
     plate = ("--layer", "copper 3 mm", "--depth", "T=back", "--emissivity", "0.9")

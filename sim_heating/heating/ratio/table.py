@@ -218,7 +218,11 @@ def _column_problems(table: CsvTable) -> list[str]:
     highest = QUANTITIES["heating_ratio"].highest
     rule = f"is not a ratio of film coefficients (to {highest:g})"
     problems += table.problems_where_not("ratio", table["ratio"] <= highest, rule)
-    if 0.0 < (largest := float(table["ratio"].max())) < LEAST_RATIO:
+    least, largest = float(table["ratio"].min()), float(table["ratio"].max())
+    if least < 0.0 and largest <= 0.0:
+        text = f"no ratio is above 0, and the least is {least:g}; film coefficients are not negative, check the sign"
+        problems.append(f"{display_path(table.path)}, column ratio: {text}")
+    if 0.0 < largest < LEAST_RATIO:
         text = f"the largest ratio is {largest:g}, below that of any place on a vehicle; check its unit"
         problems.append(f"{display_path(table.path)}, column ratio: {text}")
     if "sigma" in table.columns:

@@ -19,12 +19,36 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from sim_heating.base.files import Declared, read_toml, toml_text, write_text_atomic
 from sim_heating.base.files.schema import schema_line
+from sim_heating.base.files.units import converted
+from sim_heating.heating.recorded.cells.clocks import CLOCKS
 
 FORMAT = "logger-layout/1"
+DURATIONS = ("s", "ms", "min", "h", "us")
+SI_UNITS = {"temperature": ("K", "K, degC or degF"), "heat flux": ("W/m2", "W/m2")}
+"""Kind of a reading -> its SI unit, and units that are named."""
+
+
+def time_unit_problem(unit: str) -> str:
+    """Why a unit is none of a time or a clock; "" where it is one."""
+    if unit in CLOCKS or converted(unit, "s") is not None:
+        return ""
+    return f"is not a unit of time; give one of {', '.join((*DURATIONS, *CLOCKS))}"
+
+
+def reading_unit_problem(unit: str, kind: str) -> str:
+    """Why a unit is none of a kind of reading; "" where it is one."""
+    si, named = SI_UNITS[kind]
+    return f"is not a unit of {kind}; give {named}" if converted(unit, si) is None else ""
+
+
+def _checked(unit: str | None, problem: str) -> str | None:
+    if problem:
+        raise ValueError(f"`{unit}` {problem}")
+    return unit
 
 
 class LayoutColumn(Declared):
@@ -36,6 +60,12 @@ class LayoutColumn(Declared):
     kind: Literal["temperature", "heat flux"] = Field(default="temperature", description="what it holds")
     unit: str | None = Field(default=None, description="unit of its cells, as `degC`; what a file states where absent")
     depth: str | None = Field(default=None, description="depth of the sensor, as `0.4mm`, `surface` or `back`")
+
+    @field_validator("unit")
+    @classmethod
+    def _is_of_its_kind(cls, unit: str | None, info: ValidationInfo) -> str | None:
+        kind = info.data.get("kind")  # absent where it is wrong itself
+        return _checked(unit, reading_unit_problem(unit, kind) if unit and kind else "")
 
 
 class LoggerLayout(Declared):
@@ -71,6 +101,15 @@ class LoggerLayout(Declared):
     )
     lost: list[float] = Field(default_factory=list, description="readings that stand for a lost sample")
     column: list[LayoutColumn] = Field(default_factory=list, description="columns that are used; all where absent")
+
+    @field_validator("time_unit", "temperature_unit", "flux_unit")
+    @classmethod
+    def _is_known(cls, unit: str | None, info: ValidationInfo) -> str | None:
+        if unit is None or info.field_name == "time_unit":
+            return _checked(unit, time_unit_problem(unit) if unit is not None else "")
+        return _checked(
+            unit, reading_unit_problem(unit, "heat flux" if info.field_name == "flux_unit" else "temperature")
+        )
 
 
 def read_layout(path: Path) -> LoggerLayout:
