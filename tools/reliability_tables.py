@@ -27,7 +27,7 @@ def table_of(marked: str) -> str | None:
     if not path.is_file():
         return f"Not run yet: `python -m benchmarks {name}`.\n"
     results = json.loads(path.read_text())
-    by_part = {"formats": by_format, "quantities": slips, "faults": faults, "goals": goals}
+    by_part = {"formats": by_format, "quantities": slips, "faults": faults, "factors": factors, "goals": goals, "pairs": pairs}
     return by_part.get(part, figures)(results)
 
 
@@ -38,6 +38,14 @@ def figures(results: Mapping[str, Any]) -> str:
         for f in results["figures"]
     ]
     return markdown_table(("what", "found", "to be", "met"), rows)
+
+
+def factors(results: Mapping[str, Any]) -> str:
+    """The figures of slips, and in a sentence those of each factor."""
+    of_factors = [f for f in results["figures"] if f["what"].startswith("of ")]
+    rest = [f for f in results["figures"] if f not in of_factors]
+    shares = ", ".join(f"{f['what'].removeprefix('of ')}: {f['value']:.0f} %" for f in of_factors)
+    return f"{figures({'figures': rest})}\nRefused or told by factor: {shares}.\n"
 
 
 def _bound(figure: Mapping[str, Any]) -> str:
@@ -61,14 +69,20 @@ def slips(results: Mapping[str, Any]) -> str:
     by_reason: dict[str, list[str]] = {}
     for name, row in results["by_quantity"].items():
         by_reason.setdefault(row["reason"], []).append(f"`{name}` {row['accepted']}/{row['tried']}")
-    rows = [(reason, ", ".join(names)) for reason, names in by_reason.items()]
-    return markdown_table(("why it may be", "accepted of tried"), rows)
+    return "".join(f"- {reason}: {', '.join(names)}\n" for reason, names in by_reason.items())
 
 
 def faults(results: Mapping[str, Any]) -> str:
     """Every fault."""
     rows = [(r["number"], r["file"], r["what"][:60], r["outcome"], r["message"][-120:]) for r in results["faults"]]
     return markdown_table(("number", "file", "damage", "fault", "message"), rows) if rows else "None.\n"
+
+
+def pairs(results: Mapping[str, Any]) -> str:
+    """How often each thing was tried, and how many faults there were: figures that follow each other."""
+    tried, found = results["figures"][::2], results["figures"][1::2]
+    rows = [(t["what"], f"{t['value']:g}", f"{f['value']:g}") for t, f in zip(tried, found, strict=True)]
+    return markdown_table(("what", "tried", "faults"), rows)
 
 
 def goals(results: Mapping[str, Any]) -> str:

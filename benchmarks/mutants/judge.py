@@ -24,7 +24,7 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatch
 from multiprocessing.connection import Connection
@@ -208,18 +208,23 @@ def _warm_up(home: Path, work: Path) -> None:
 @contextlib.contextmanager
 def blank_pictures() -> Iterator[None]:
     """Within the block figures are made, but neither laid out nor rendered: the file of each has one pixel."""
-    whole = Figure.savefig, Figure.get_layout_engine
+    whole = {name: getattr(Figure, name) for name in ("savefig", "get_layout_engine")}
     pixel = io.BytesIO()
     Image.new("L", (1, 1)).save(pixel, "PNG")
 
-    def save_blank(figure: Figure, stream: io.BytesIO, **settings: Any) -> None:
+    def save_blank(_: Figure, stream: io.BytesIO, **settings: Any) -> None:
         stream.write(pixel.getvalue() if settings["format"] == "png" else b"<svg xmlns='http://www.w3.org/2000/svg'/>")
 
-    Figure.savefig, Figure.get_layout_engine = save_blank, lambda figure: None
+    _set_methods({"savefig": save_blank, "get_layout_engine": lambda _: None})
     try:
         yield
     finally:
-        Figure.savefig, Figure.get_layout_engine = whole
+        _set_methods(whole)
+
+
+def _set_methods(methods: Mapping[str, Callable[..., Any]]) -> None:
+    for name, method in methods.items():
+        setattr(Figure, name, method)
 
 
 def _judge(home: Path, seed: int, number: int, work: Path, output: Path, longest_s: float) -> Result:
