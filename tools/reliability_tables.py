@@ -27,7 +27,8 @@ def table_of(marked: str) -> str | None:
     if not path.is_file():
         return f"Not run yet: `python -m benchmarks {name}`.\n"
     results = json.loads(path.read_text())
-    by_part = {"formats": by_format, "quantities": slips, "faults": faults, "factors": factors, "goals": goals, "pairs": pairs}
+    by_part = {"formats": by_format, "quantities": slips, "faults": faults, "factors": factors}
+    by_part |= {"goals": goals, "pairs": pairs}
     return by_part.get(part, figures)(results)
 
 

@@ -43,7 +43,7 @@ from sim_heating.base.files import (
     suggestion,
 )
 from sim_heating.base.files.units import converted, name_and_unit
-from sim_heating.base.limits import HOTTEST_K
+from sim_heating.base.limits import HOTTEST_K, QUANTITIES
 from sim_heating.base.parameters import MODEL, PRESSURE_FACTOR, layer_parameter
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.effects import EffectUse, Window, use
@@ -683,7 +683,10 @@ def _measured_history(compare: Compare, file: Path) -> MeasuredHistory:
     table = _history_table(file)
     rule = f"K is no temperature of a surface; give K, at most {HOTTEST_K:g}"
     hot = table.problems_where_not("temperature_K", table["temperature_K"] <= HOTTEST_K, rule)
-    raise_problems([*table.order_problems(), *table.celsius_problems("temperature_K"), *hot])
+    noise = QUANTITIES["noise_sigma_K"]
+    sigma = table["sigma_K"]
+    spread = table.problems_where_not("sigma_K", (sigma >= noise.lowest) & (sigma <= noise.highest), noise.rule)
+    raise_problems([*table.order_problems(), *table.celsius_problems("temperature_K"), *hot, *spread])
     time = table["time_s"]
     until = np.inf if compare.until_s is None else compare.until_s
     inside = time <= until
