@@ -101,7 +101,7 @@ def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit
         return None
     joined = series[full]
     if _are_dotted(joined):
-        series = pd.Series(with_colons(series, "hh:mm:ss"), dtype=object)
+        series = pd.Series(with_colons(list(series), "hh:mm:ss"), dtype=object)
     if joined.map(lambda c: ALL_BASIC.fullmatch(c) is not None).all():
         series = series.map(lambda c: f"{c[:8]}T{c[8:]}" if c else c)
     for pattern in (STAMP, OF_DAY):
