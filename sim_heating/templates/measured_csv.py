@@ -1256,7 +1256,7 @@ def _is_used(block: Block, k: int, used: Sequence[CsvColumn]) -> bool:
 def _stated(
     chosen: LoggerLayout, block: Block, signs: Signs, columns: Sequence[CsvColumn], heads: Sequence[_Head]
 ) -> LoggerLayout:
-    """The layout as it was read: units where the file states none itself, which each file may state anew."""
+    """The layout as it was read: units where the file states none itself, which each file may state again."""
     clock = next(c for c in columns if c.kind == TIME)
     unit_of = {h.name: h.unit for h in heads}
     has_own = {c.name for c in columns if c.kind == _kind_by_unit(unit_of.get(c.name, "")) != UNUSED}

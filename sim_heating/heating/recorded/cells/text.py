@@ -257,7 +257,7 @@ def rows_block(
     recorder: str = "",
     lines: dict[int, str] | None = None,
 ) -> Block:
-    """The block of rows of cells, in which names, units, data and trailer are yet to be told apart.
+    """The block of rows of cells, in which names, units, data and trailer are yet to be distinguished.
 
     split  : line and cells of each row that is not blank
     lines  : texts of the lines; None for a sheet
