@@ -12,11 +12,17 @@ from hypothesis import strategies as st
 
 from sim_heating.credibility.evidence import shipped_evidence
 from sim_heating.credibility.facts.contributors import peak_uncertainty
-from sim_heating.credibility.facts.sources import DeclaredInput, conditions_of_record, inputs_of_record
+from sim_heating.credibility.facts.sources import (
+    DeclaredInput,
+    conditions_of_record,
+    conditions_of_scenario,
+    inputs_of_record,
+)
 from sim_heating.credibility.reviews import Review, Reviewed, add_review, digest_of, reviews_in
 from sim_heating.credibility.statement import Answer, Facts, Statement, assess
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import ConditionsFile, load_record
+from sim_heating.inputs.scenario import load_scenario
 from sim_heating.march.history import march_points
 from sim_heating.simulation.predict import Prediction
 from tests.support.paths import ROOT
@@ -225,3 +231,15 @@ def test_a_damaged_file_of_reviews_is_reported_and_loses_no_result(tile: Predict
     found = assess(replace(tile.facts(), folder=tmp_path)).as_json()
     assert "histroy" in " ".join(found["problems"])
     assert found["factors"]["verification"]["level"] == 3
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_the_head_of_a_recording_is_read_in_any_encoding_that_its_columns_are(tmp_path: Path, encoding: str) -> None:
+    text = (ROOT / "scenarios" / "data" / "sts107_early_entry.csv").read_text().replace("# title: ", "# title: Höhe, ")
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "sts107_early_entry.csv").write_text(text, encoding=encoding)
+    (tmp_path / "recorded.toml").write_text((ROOT / "scenarios" / "recorded_sts107.toml").read_text())
+    (recording,) = conditions_of_scenario(load_scenario(tmp_path / "recorded.toml"))
+    assert recording.source.startswith("times, altitudes")
+    assert "confidence A" in recording.confidence
+    assert "Höhe" in recording.confidence

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.heating.recorded.cells.text import decoded
 from sim_heating.heating.recorded.reading import lowered_confidence
 from sim_heating.inputs.declared_effects import Catalysis, Transition
 from sim_heating.inputs.record import DECLARATION, Record
@@ -164,12 +166,8 @@ def _recording(path: Path, has_model_density: bool) -> DeclaredInput:
 
     has_model_density : whether its density is of the standard atmosphere, which lowers its confidence
     """
-    head = []
-    with path.open(encoding="utf-8") as lines:
-        for line in lines:
-            if not line.startswith("#"):
-                break
-            head.append(line[1:].strip())
+    lines = itertools.takewhile(lambda line: line.startswith("#"), decoded(path).splitlines())
+    head = [line[1:].strip() for line in lines]
     stated = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in head)}
     confidence = stated.get("confidence") or " ".join(head)  # many heads state one for each column, in their text
     if has_model_density:
