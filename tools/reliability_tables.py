@@ -34,11 +34,8 @@ def table_of(marked: str) -> str | None:
 
 def figures(results: Mapping[str, Any]) -> str:
     """The figures of any benchmark."""
-    rows = [
-        (f["what"], f"{f['value']:.6g} {f['unit']}".strip(), _bound(f), f["verdict"].lower())
-        for f in results["figures"]
-    ]
-    return markdown_table(("what", "found", "to be", "met"), rows)
+    rows = [(f["what"], f"{f['value']:.6g} {f['unit']}".strip(), _bound(f)) for f in results["figures"]]
+    return markdown_table(("what", "found", "goal"), rows)
 
 
 def factors(results: Mapping[str, Any]) -> str:
@@ -52,7 +49,8 @@ def factors(results: Mapping[str, Any]) -> str:
 def _bound(figure: Mapping[str, Any]) -> str:
     if figure["target"] is None:
         return ""
-    return f"{'at least' if figure['at_least'] else 'at most'} {figure['target']:g}"
+    missed = "" if figure["verdict"] == "yes" else ", missed"
+    return f"{'at least' if figure['at_least'] else 'at most'} {figure['target']:g}{missed}"
 
 
 def by_format(results: Mapping[str, Any]) -> str:
@@ -69,7 +67,8 @@ def slips(results: Mapping[str, Any]) -> str:
     """Slips of the unit that were accepted without a word, by quantity, with the reason."""
     by_reason: dict[str, list[str]] = {}
     for name, row in results["by_quantity"].items():
-        by_reason.setdefault(row["reason"], []).append(f"`{name}` {row['accepted']}/{row['tried']}")
+        count = "" if row["accepted"] == 1 else f" {row['accepted']}/{row['tried']}"
+        by_reason.setdefault(row["reason"], []).append(f"`{name}`{count}")
     return "".join(f"- {reason}: {', '.join(names)}\n" for reason, names in by_reason.items())
 
 
