@@ -25,6 +25,7 @@ from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.estimation.fit import FitResult, declared_model, estimate, predict_fit, rms_normalised_residual
+from sim_heating.estimation.inference.bounds import ChannelResiduals, spectral_density
 from sim_heating.estimation.inference.conditions_noise import heating_noise
 from sim_heating.estimation.inference.error_likelihood import (
     ErrorState,
@@ -34,7 +35,7 @@ from sim_heating.estimation.inference.error_likelihood import (
     noise_error,
     parameter_root_K,
 )
-from sim_heating.estimation.inference.likelihood import log_likelihood
+from sim_heating.estimation.inference.likelihood import likelihood, log_likelihood
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
@@ -191,6 +192,29 @@ class TrialFit:
     def excess_chi2(self) -> float:
         """Reduced chi-square of the fitted samples less one, noise alone giving 0."""
         return rms_normalised_residual(self.fitted_samples) ** 2 - 1.0
+
+    @cached_property
+    def scale(self) -> float:
+        """By how much its residuals are more than noise as declared, 1 at least: a difference in log likelihood counts
+        less by this [-].
+
+        Of an exact model the reduced chi-square. The error of a model takes up what is slow, but not the colour of a
+        recorder: there the spectral density at frequency 0, which slow causes are told from, the mean of the channels.
+        """
+        if self.record_fit.model_error is None:
+            return max(1.0, 1.0 + self.excess_chi2)
+        densities, counts = [], []
+        for s in self.fitted_samples:
+            scored, bare = likelihood(s.channel.intervals, s.mean_K, s.spread_K), np.zeros((len(s.time_s), 0))
+            name = s.channel.sensor.name
+            densities.append(spectral_density(ChannelResiduals(name, s.time_s, scored.score, scored.information, bare)))
+            counts.append(len(s.time_s))
+        return max(1.0, float(np.average(densities, weights=counts)))
+
+    @cached_property
+    def held_out_scale(self) -> float:
+        """The same of the samples held out, where these may be off by more [-]."""
+        return max(1.0 if self.record_fit.model_error is None else self.scale, self.held_out_chi2)
 
     @cached_property
     def held_out_log_likelihood(self) -> float:
