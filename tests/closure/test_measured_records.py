@@ -19,6 +19,7 @@ from sim_heating.closure.search.joint_search import with_common_flights
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.trials.told_error import told_error
 from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, fitted_values, with_own_error
+from sim_heating.closure.statement import causes_like_errors
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.error_likelihood import model_error
 from sim_heating.estimation.inference.model_error import ErrorSize, correlation_root
@@ -199,12 +200,13 @@ def test_a_jump_as_large_as_the_error_that_is_left_is_no_cause():
     jumped = replace(jumped, declared=record.declared.model_copy(update={"heating": heating}))
     search = searched_among(jumped, ("transition",))
 
-    def rated(left):
+    def result(left):
         size = ErrorSize(np.array([left]), np.array([200.0]), np.ones(1), np.zeros((1, 1, 1)), np.zeros((1, 1, 1)))
         none, cause = (replace(h, trials=(replace(h.last, size=size),)) for h in (search.none, search.hypotheses[0]))
-        return scored(none, [cause])[0]
+        return replace(search, none=none, hypotheses=tuple(scored(none, [cause])))
 
-    known, unknown = rated(0.003), rated(0.3)
+    surely, perhaps = result(0.003), result(0.3)
+    known, unknown = surely.hypotheses[0], perhaps.hypotheses[0]
     assert known.names == ("transition",)
     factor = fitted_values(known.last)["effect.transition.factor"]
     knots = known.last.record_fit.model_error.time_s
@@ -212,6 +214,11 @@ def test_a_jump_as_large_as_the_error_that_is_left_is_no_cause():
     assert unknown.log_odds_of_jumps == pytest.approx(price, rel=0.05)
     assert known.score < -POLICY.min_gain_over_adequate
     assert unknown.score > -POLICY.min_gain
+    assert causes_like_errors(surely) == []
+    (line,) = causes_like_errors(perhaps)
+    assert line.startswith("transition gains ")
+    assert line.endswith(f"costs {price:.0f} as an error of the model that is as large as the rest of it: this record "
+                         "does not tell them apart")  # fmt: skip
 
 
 def cause_that_predicts_worse(none, lost):

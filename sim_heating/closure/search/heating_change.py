@@ -45,6 +45,7 @@ def log_odds_of_jumps(trial: TrialFit, candidate: Candidate) -> float:
     N(0, 2 s^2), s being the size of the error that is left with the effect. In each correlation time tau such an error
     may jump once, at any of its knots, h apart. A smooth error holds no jump, so that without this price any jump would
     speak for an effect whose place is free. One whose place is known, as that of jets is, is no such coincidence.
+    Source: docs/theory/model_error.md, equation 5c.
     """
     size, error = trial.size, trial.record_fit.model_error
     if size is None or error is None or size.mean == 0.0 or set(candidate.names) <= set(candidate.with_prior):
