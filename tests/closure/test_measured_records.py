@@ -14,6 +14,7 @@ from sim_heating.closure.close import close_loop
 from sim_heating.closure.prior.changed_flight import shift_conditions
 from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
 from sim_heating.closure.report.record import closure_json
+from sim_heating.closure.search.heating_change import heating_change
 from sim_heating.closure.search.hypothesis import NOT_PREDICTED, fitted_anew, hypothesis, scored
 from sim_heating.closure.search.joint_search import with_common_flights
 from sim_heating.closure.search.search import search_effects
@@ -212,6 +213,11 @@ def test_a_jump_as_large_as_the_error_that_is_left_is_no_cause():
     knots = known.last.record_fit.model_error.time_s
     price = ((factor - 1.0) / 0.6) ** 2 + np.log(200.0 / (knots[1] - knots[0]))
     assert unknown.log_odds_of_jumps == pytest.approx(price, rel=0.05)
+    fit = known.last.fit  # a clock that is off by seconds takes readings beyond the ends of the conditions
+    for skew_s in (-4.0, 4.0):
+        values = np.where(np.array(fit.names) == "clock.skew", skew_s, fit.values)
+        late = replace(known.last, fit=replace(fit, values=values))
+        assert np.max(heating_change(late, late.candidate)) == pytest.approx(factor - 1.0, abs=1e-3)
     assert known.score < -POLICY.min_gain_over_adequate
     assert unknown.score > -POLICY.min_gain
     assert causes_like_errors(surely) == []

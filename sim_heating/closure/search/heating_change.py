@@ -27,8 +27,10 @@ def heating_change(trial: TrialFit, candidate: Candidate) -> FloatArray | None:
         marched = trial.prediction
     except RunError:
         return None
-    read = np.isfinite(marched.history.surface_K)
-    flown = condition_history(marched.conditions.at(marched.history.time_s[read]))
+    t, covered = marched.history.time_s, marched.conditions.time_s
+    # readings by a clock that is off may be taken beyond the ends of the conditions
+    read = np.isfinite(marched.history.surface_K) & (t >= covered[0]) & (t <= covered[-1])
+    flown = condition_history(marched.conditions.at(t[read]))
     wall_K = marched.history.surface_K[read]
     factors = [
         effect.kernel(np.array([*row, *used.values]), 0, len(row), T) for row, T in zip(flown, wall_K, strict=True)
