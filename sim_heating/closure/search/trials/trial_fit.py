@@ -200,16 +200,14 @@ class TrialFit:
 
         Of an exact model the reduced chi-square. The error of a model takes up what is slow, but not the colour of a
         recorder: there the spectral density at frequency 0, which slow causes are told from, the mean of the channels.
+        A sensor that states the correlation of its noise has it in its model, and counts as 1. Source:
+        docs/theory/model_error.md, equation 5b.
         """
-        if self.record_fit.model_error is None:
+        error = self.record_fit.model_error
+        if error is None:
             return max(1.0, 1.0 + self.excess_chi2)
-        densities, counts = [], []
-        for s in self.fitted_samples:
-            scored, bare = likelihood(s.channel.intervals, s.mean_K, s.spread_K), np.zeros((len(s.time_s), 0))
-            name = s.channel.sensor.name
-            densities.append(spectral_density(ChannelResiduals(name, s.time_s, scored.score, scored.information, bare)))
-            counts.append(len(s.time_s))
-        return max(1.0, float(np.average(densities, weights=counts)))
+        densities = [1.0 if s.channel.number in error.noise else _spectral_density(s) for s in self.fitted_samples]
+        return max(1.0, float(np.average(densities, weights=[len(s.mean_K) for s in self.fitted_samples])))
 
     @cached_property
     def held_out_scale(self) -> float:
@@ -247,6 +245,15 @@ class TrialFit:
     def __repr__(self) -> str:
         name = self.name if self.change is None else self.change.describe(self.value)
         return f"<TrialFit of {name}: score {self.score:+.1f}>"
+
+
+def _spectral_density(samples: PredictedSamples) -> float:
+    """Spectral density of the innovations of a channel at frequency 0 over that of white noise as declared [-]."""
+    scored = likelihood(samples.channel.intervals, samples.mean_K, samples.spread_K)
+    no_parameters, name = np.zeros((len(samples.mean_K), 0)), samples.channel.sensor.name
+    return spectral_density(
+        ChannelResiduals(name, np.asarray(samples.time_s), scored.score, scored.information, no_parameters)
+    )
 
 
 def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResult:
