@@ -214,7 +214,7 @@ def joined(problems: Sequence[FitProblem], levels: Mapping[str, str]) -> FitProb
 def _clock_of_flight(fit: RecordFit) -> tuple[str, ...]:
     """The name of the clock, where its shift is an error of the flight that the record has in common with others."""
     error = flight_error(fit.record) if fit.flight_names else None
-    return (CLOCK_SKEW.name,) if error is not None and error.has_clock and CLOCK_SKEW.name in fit.names else ()
+    return (CLOCK_SKEW.name,) if error is not None and error.has_one_clock and CLOCK_SKEW.name in fit.names else ()
 
 
 def fit_models(

@@ -278,6 +278,7 @@ def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResul
 def base_trial(
     baseline: FitResult,
     *,
+    is_clock_free: bool = False,
     chi2_rounds: int = 3,
     chi2_change: float = 1.2,
     node_fraction: float = 1.0 / 3.0,
@@ -293,6 +294,8 @@ def base_trial(
     would with noise alone, and the table keeps its say. With c = 1, a missing transition turns the magnitude and
     derivatives of a table into ones that no table has, from where no candidate finds its way.
 
+    is_clock_free : whether the clock of a flight whose time is not known to SKEW_SPAN_S may be off by as much. It is
+        where it would otherwise be on its bound
     chi2_rounds, chi2_change : most fits of the base with the reduced chi-square of the one before, and the factor by
         which it has to grow for another
 
@@ -310,13 +313,13 @@ def base_trial(
     fitted, held_out = stated.record.fit_mask(), stated.record.holdout_mask()
     # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
     thin = thin_record(stated.record, max(int(node_fraction * stated.mesh.nodes), min_nodes))
-    full = _declared_problem(baseline, stated.record, priors, fitted | held_out)
-    thinned = _declared_problem(baseline, thin, priors, fitted | held_out, **THINNED_STEPS)
+    full = _declared_problem(baseline, stated.record, priors, fitted | held_out, is_clock_free)
+    thinned = _declared_problem(baseline, thin, priors, fitted | held_out, is_clock_free, **THINNED_STEPS)
     error_K, at_s = thinning_error(full, thinned, start)
 
     def problem_over(chosen: NDArray[np.bool_], c: float = 1.0) -> FitProblem:
         weighed = {n: replace(p, sigma=p.sigma / math.sqrt(c)) for n, p in priors.items()}
-        problem = _declared_problem(baseline, thin, weighed, chosen, **THINNED_STEPS)
+        problem = _declared_problem(baseline, thin, weighed, chosen, is_clock_free, **THINNED_STEPS)
         record_fit = problem.record_fits[0]
         record_fit.correction_K = error_K[:, np.isin(at_s, record_fit.sample_s)]
         if error is not None:
@@ -338,6 +341,10 @@ def base_trial(
         weighed = problem_over(fitted, c)
         at = declared if before_c == 1.0 else dict(zip(fit.names, fit.values, strict=True))
         fit = maximise_together([weighed], [start_values(weighed, at)], QUICK)[0]
+    flight, is_clock = flight_error(stated.record), np.array(fit.names) == CLOCK_SKEW.name
+    is_unknown = flight is not None and flight.has_clock and not flight.has_one_clock
+    if is_unknown and not is_clock_free and np.any(fit.on_bound & is_clock):
+        return base_trial(baseline, is_clock_free=True)
     information = np.array([p.sigma**-2.0 for p in problem.parameters])
     fit = replace(fit, prior_information=information, log_posterior=fit.log_likelihood)
     fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
@@ -426,6 +433,7 @@ def _declared_problem(
     record: Record,
     priors: Mapping[str, Parameter],
     chosen: NDArray[np.bool_],
+    is_clock_free: bool,
     **options_of_march: Any,
 ) -> FitProblem:
     """The declared model over chosen samples of a record, whole or thinned; priors are those of its table."""
@@ -434,7 +442,8 @@ def _declared_problem(
     # Clocks of two recorders never agree exactly, and an unstated skew is estimated as an effect: some room for it
     # belongs to the model without effects.
     agreement_s = min(0.25 * interval, SKEW_SPAN_S)
-    clock = {} if CLOCK_SKEW.name in stated.names else {CLOCK_SKEW.name: clock_prior(record, agreement_s)}
+    name = CLOCK_SKEW.name
+    clock = {} if name in stated.names else {name: clock_prior(record, agreement_s, is_free=is_clock_free)}
     options = FitOptions(
         effects=baseline.problem.options.effects,
         priors={**priors, **clock},
