@@ -248,8 +248,8 @@ def causes_like_errors(result: SearchResult) -> list[str]:
         if h.admissible and h.score - 2.0 * (gained - price) < -POLICY.min_gain < h.score and gained > price:
             lines.append(
                 f"{' + '.join(h.names)} gains {gained:.0f} in log evidence, and the same change of the heating costs "
-                f"{price:.0f} as an error of the model that is as large as the rest of it: this record does not tell "
-                "them apart"
+                f"{price:.0f} as an error of the model that is as large as the rest of it: this record does not "
+                "distinguish them"
             )
     return lines
 

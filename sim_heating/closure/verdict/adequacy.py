@@ -181,7 +181,7 @@ def pooled(by_record: Mapping[str, Adequacy], counts: Sequence[int]) -> Adequacy
 
 
 def p_value_text(p: float) -> str:
-    """A p-value in words, with two digits, or as many as tell it from `Policy.adequate_p`."""
+    """A p-value in words, with two digits, or as many as distinguish it from `Policy.adequate_p`."""
     if p < POLICY.min_p_value:
         return f"below {POLICY.min_p_value:g}"
     texts = (f"{p:.{digits}g}" for digits in range(2, 18))

@@ -243,7 +243,7 @@ def spectral_density(channel: ChannelResiduals) -> float:
 
         S = c(0) + 2 sum_l w(l) c(l),   l > 0
 
-    It is what a slow change of the mean is told from: white noise of the same variance has S = c(0). Source:
+    A slow change of the mean is distinguished from this: white noise of the same variance has S = c(0). Source:
     docs/theory/model_error.md, equation 5b; docs/theory/estimation_statistics.md, equation 24.
     """
     samples = len(channel.time_s)

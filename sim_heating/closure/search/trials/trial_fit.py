@@ -199,8 +199,8 @@ class TrialFit:
         less by this [-].
 
         Of an exact model the reduced chi-square. The error of a model takes up what is slow, but not the colour of a
-        recorder: there the spectral density at frequency 0, which slow causes are told from, the mean of the channels.
-        A sensor that states the correlation of its noise has it in its model, and counts as 1. Source:
+        recorder: there the spectral density at frequency 0, the mean of the channels, as slow causes are distinguished
+        from that. A sensor that states the correlation of its noise has it in its model, and counts as 1. Source:
         docs/theory/model_error.md, equation 5b.
         """
         error = self.record_fit.model_error
