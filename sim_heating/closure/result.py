@@ -25,7 +25,7 @@ from sim_heating.closure.search.evidence import Evidence
 from sim_heating.closure.search.joint_search import JointSearch
 from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.search.trials.told_error import ToldError, flight_in_words
-from sim_heating.closure.verdict.adequacy import Adequacy
+from sim_heating.closure.verdict.adequacy import Adequacy, p_value_text
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.facts.of_records import held_out, of_several, ratio_uncertainty
 from sim_heating.credibility.statement import Answer, assess
@@ -260,8 +260,7 @@ class Statement:
 
     def _adequacy_in_words(self, adequacy: Adequacy) -> str:
         """What a model does to the record."""
-        least = POLICY.min_p_value
-        p = f"p = {adequacy.p_value:.2g}" if adequacy.p_value >= least else f"p below {least:g}"
+        p = f"p-value {p_value_text(adequacy.p_value)}"
         if adequacy.p_value >= POLICY.adequate_p:
             error = "" if self.model_error is None else " and the model's own error"
             return f"explains the record to its noise{error} ({p})"
@@ -598,7 +597,7 @@ def credibility_of_finding(
         uncertainty=ratio_uncertainty(sigma, [a.record for a in predictions], reference),
         consistent=Answer(
             adequacy is not None and adequacy.p_value >= POLICY.adequate_p,
-            "no test of adequacy" if adequacy is None else f"p-value of adequacy {adequacy.p_value:.2g}",
+            "no test of adequacy" if adequacy is None else f"p-value of adequacy {p_value_text(adequacy.p_value)}",
         ),
         holds=Answer(
             p is not None and p >= POLICY.confidence and not faulty,

@@ -114,6 +114,7 @@ def closure_of(
             *notes,
             *(line for line in fitted.warnings if line not in {*notes, *(f.message for f in faults)}),
             *_forms(result),
+            *causes_like_errors(result),
             *_residual_warning(result, residual_after),
         ],
         remarks=remarks(fitted),
@@ -235,6 +236,21 @@ def _forms(result: SearchResult) -> list[str]:
                     f"{trial.name} has another form than the library's: a curve in the {label} is added to the ratio, "
                     f"{VALUES[0]} to {VALUES[-1]} at even steps from {low:.4g} to {high:.4g} {unit}"
                 )
+    return lines
+
+
+def causes_like_errors(result: SearchResult) -> list[str]:
+    """A line for each cause that gains more than the same change of the heating costs as an error of the model, and
+    that would be better than the declared model by that."""
+    lines, none = [], result.none.last
+    for h in result.hypotheses:
+        gained, price = (h.last.log_evidence - none.log_evidence) / h.last.scale, h.log_odds_of_jumps
+        if h.admissible and h.score - 2.0 * (gained - price) < -POLICY.min_gain < h.score and gained > price:
+            lines.append(
+                f"{' + '.join(h.names)} gains {gained:.0f} in log evidence, and the same change of the heating costs "
+                f"{price:.0f} as an error of the model that is as large as the rest of it: this record does not "
+                "distinguish them"
+            )
     return lines
 
 

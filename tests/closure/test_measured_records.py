@@ -7,19 +7,34 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from sim_heating.closure.close import close_loop
 from sim_heating.closure.prior.changed_flight import shift_conditions
 from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
 from sim_heating.closure.report.record import closure_json
+from sim_heating.closure.search.heating_change import heating_change
 from sim_heating.closure.search.hypothesis import NOT_PREDICTED, fitted_anew, hypothesis, scored
 from sim_heating.closure.search.joint_search import with_common_flights
 from sim_heating.closure.search.search import search_effects
+from sim_heating.closure.search.trials.candidates import candidates
 from sim_heating.closure.search.trials.told_error import told_error
-from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, with_own_error
+from sim_heating.closure.search.trials.trial_fit import (
+    TrialFit,
+    base_trial,
+    declared_fit,
+    fitted_values,
+    problem_with,
+    start_values,
+    with_own_error,
+)
+from sim_heating.closure.statement import causes_like_errors
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.error_likelihood import model_error
+from sim_heating.estimation.inference.model_error import ErrorSize, correlation_root
 from sim_heating.estimation.problem import FitProblem
+from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import BY_CONFIDENCE, FlightUncertainty, HeatingUncertainty, load_record
 from tests.support.few_candidates import searched_among
@@ -39,13 +54,14 @@ def unrounded(record):
     return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
 
 
-def with_heating_error(record, sigma, correlation_s, seed):
-    """The record with the readings of its declared model whose heating has a smooth relative error, noise added."""
-    problem, rng = FitProblem([record], [], REFERENCE), np.random.default_rng(seed)
-    part = problem.record_fits[0]
-    error = model_error(part, np.zeros(0), sigma, correlation_s)
-    e = sigma * error.correlation_root @ rng.standard_normal(len(error.time_s))
-    columns = dict(record.thermocouples)
+def with_error_of_heating(record, error_at, rng):
+    """The record with the readings of its declared model whose heating has a relative error, noise added.
+
+    error_at : from (time,) [s] to (time,) [-]
+    """
+    problem = FitProblem([record], [], REFERENCE)
+    error = model_error(problem.record_fits[0], np.zeros(0), 1.0, 100.0)
+    e, columns = error_at(error.time_s), dict(record.thermocouples)
     for s in problem.samples(np.zeros(0)):
         moved = error.at(s.channel.number, s.time_s)[0] @ e
         read = np.full(len(record.time_s), np.nan)
@@ -71,7 +87,12 @@ def test_transition_is_found_on_a_measured_tile():
 
 @pytest.mark.thorough
 def test_a_smooth_error_of_the_heating_is_no_cause():
-    record = with_heating_error(unrounded(load_record(RECORDS / "practice" / "p06")), 0.04, 200.0, 11)
+    rng = np.random.default_rng(11)
+    record = with_error_of_heating(
+        unrounded(load_record(RECORDS / "practice" / "p06")),
+        lambda t: 0.04 * correlation_root(t, 200.0) @ rng.standard_normal(len(t)),
+        rng,
+    )
     found = search_effects(as_measured(record))
     assert found.conclusion.finding == "none", found.conclusion
     size = found.none.last.size
@@ -155,6 +176,75 @@ def test_a_clock_that_is_stated_too_well_may_be_off_by_more():
     clock = clock_prior(record, 0.25)
     assert clock.sigma == 0.6
     assert clock.upper > 3.0 * 2.0 * clock.sigma
+
+
+@pytest.mark.parametrize("stated_s", [0.2, 20.0])
+def test_a_clock_may_be_off_whatever_the_uncertainty_it_states(stated_s):
+    """A skew that the record itself holds to be likely is no cause, be the flight's time besides known or not."""
+    record = with_flight_uncertainty(load_record(RECORDS / "practice" / "p06"), time_shift_s=stated_s)
+    base = base_trial(declared_fit(shift_conditions(record, 1.2)))
+    assert fitted_values(base)["clock.skew"] == pytest.approx(-1.2, abs=0.3)
+    directions = [name for name, _ in flight_error(record).directions]
+    assert ("time_shift_s" in directions) is (stated_s > SKEW_SPAN_S)
+
+
+@pytest.mark.sample(1)
+def test_evidence_counts_less_where_a_recorder_has_colour():
+    """The same readings with first-order noise of 20 readings' memory, as large as the white noise of the recorder."""
+    record = with_flight_uncertainty(load_record(RECORDS / "practice" / "p06"), velocity_relative=0.001)
+    memory, rng, columns = np.exp(-1.0 / 20.0), np.random.default_rng(7), dict(record.thermocouples)
+    for sensor in record.used_sensors:
+        kicks = sensor.noise_sigma_K * np.sqrt(1.0 - memory**2) * rng.standard_normal(len(record.time_s))
+        columns[sensor.column] = columns[sensor.column] + lfilter([1.0], [1.0, -memory], kicks)
+    white, coloured = (base_trial(declared_fit(r)) for r in (record, replace(record, thermocouples=columns)))
+    assert white.scale < 1.3
+    assert coloured.scale > 3.0
+
+
+@pytest.mark.thorough
+def test_a_jump_as_large_as_the_error_that_is_left_is_no_cause():
+    """The heating of a flight jumps by half, and the rest of it is known to 0.3 %, or to 30 %."""
+    record = unrounded(load_record(RECORDS / "practice" / "p06"))
+    heating = record.declared.heating.model_copy(update={"uncertainty": HeatingUncertainty(relative=0.05)})
+    jumped = with_error_of_heating(record, lambda t: np.where(t > 900.0, 0.5, 0.0), np.random.default_rng(3))
+    jumped = replace(jumped, declared=record.declared.model_copy(update={"heating": heating}))
+    search = searched_among(jumped, ("transition",))
+
+    def result(left):
+        size = ErrorSize(np.array([left]), np.array([200.0]), np.ones(1), np.zeros((1, 1, 1)), np.zeros((1, 1, 1)))
+        none, cause = (replace(h, trials=(replace(h.last, size=size),)) for h in (search.none, search.hypotheses[0]))
+        return replace(search, none=none, hypotheses=tuple(scored(none, [cause])))
+
+    surely, perhaps = result(0.003), result(0.3)
+    known, unknown = surely.hypotheses[0], perhaps.hypotheses[0]
+    assert known.names == ("transition",)
+    factor = fitted_values(known.last)["effect.transition.factor"]
+    knots = known.last.record_fit.model_error.time_s
+    price = ((factor - 1.0) / 0.6) ** 2 + np.log(200.0 / (knots[1] - knots[0]))
+    assert unknown.log_odds_of_jumps == pytest.approx(price, rel=0.05)
+    assert known.score < -POLICY.min_gain_over_adequate
+    assert unknown.score > -POLICY.min_gain
+    assert causes_like_errors(surely) == []
+    (line,) = causes_like_errors(perhaps)
+    assert line.startswith("transition gains ")
+    assert line.endswith(f"costs {price:.0f} as an error of the model that is as large as the rest of it: this record "
+                         "does not distinguish them")  # fmt: skip
+
+
+@pytest.mark.thorough
+def test_an_effect_of_a_record_with_a_late_clock_is_known_to_the_last_reading():
+    """Readings of this tile go to the end of its conditions, and by a clock that is off beyond it."""
+    base = base_trial(declared_fit(load_record(RECORDS / "sts96_468")))
+    flown = conditions_of_record(base.record_fit.record)
+    candidate = next(c for c in candidates(base.record_fit.record, flown, ()) if c.name == "transition")
+    problem, changes = problem_with(base, candidate), []
+    for skew_s in (-SKEW_SPAN_S, 0.0, SKEW_SPAN_S):
+        values = start_values(problem, fitted_values(base) | candidate.start | {"clock.skew": skew_s})
+        fit = replace(base.fit, names=problem.record_fits[0].names, values=values)
+        trial = TrialFit("transition", candidate, problem, None, fit)
+        changes.append(np.max(heating_change(trial, candidate)))
+    assert changes[1] > 0.0
+    np.testing.assert_allclose(changes, changes[1], rtol=1e-3)
 
 
 def cause_that_predicts_worse(none, lost):

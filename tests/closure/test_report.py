@@ -191,6 +191,25 @@ def test_a_probability_says_whether_records_of_its_kind_are_in_its_calibration()
     assert test == "Probability that this finding is right: 98 % (calibrated on flights, not on tests)."
 
 
+@pytest.mark.parametrize(
+    ("p", "text"),
+    [
+        (2 / 201, "does not explain the record to its noise (p-value 0.00995)"),
+        (0.00999999, "does not explain the record to its noise (p-value 0.00999999)"),
+        (0.01, "explains the record to its noise (p-value 0.01)"),
+        (0.41234, "explains the record to its noise (p-value 0.41)"),
+        (1e-9, "does not explain the record to its noise (p-value below 1e-06)"),
+    ],
+)
+def test_a_p_value_is_told_from_the_level_that_judges_it(p: float, text: str):
+    adequacy = replace(FOUND_ONSET.adequacy, p_value=p, unstructured=False)
+    assert text in replace(FOUND_ONSET, adequacy=adequacy).certainty()
+    row = summary_row(closed()) | {"p_value": p}
+    table = closures_table([row])
+    (cell,) = [cells[[c.head for c in table.layout].index("p-value")] for cells in table.texts]
+    assert f"(p-value {cell})" in text
+
+
 def test_errors_after_are_told_of_what_a_record_partly_resembles():
     partly = replace(FOUND_ONSET, finding="partly", explained=0.87, resembles=["impingement-onset"])
     found = replace(closed(), statement=partly, effects=[Finding("unknown", 0.9, {})])

@@ -13,7 +13,12 @@ from scipy.special import ndtri
 from scipy.stats import binom, kstest
 
 from sim_heating.base.errors import InputError
-from sim_heating.estimation.inference.bounds import ChannelResiduals, CramerRaoBounds, cramer_rao_bounds
+from sim_heating.estimation.inference.bounds import (
+    ChannelResiduals,
+    CramerRaoBounds,
+    cramer_rao_bounds,
+    spectral_density,
+)
 from sim_heating.estimation.inference.identifiability import correlation, covariance, directions
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, likelihood, reading_intervals
 from sim_heating.estimation.inference.noise import estimate_noise, noise_of_readings
@@ -93,6 +98,14 @@ def test_the_mean_of_autoregressive_noise_has_the_bound_of_its_spectrum() -> Non
 
 
 @pytest.mark.thorough
+def test_a_slow_change_is_told_from_the_spectrum_of_the_noise_at_rest() -> None:
+    n, phi, rng = 20000, 0.6, np.random.default_rng(5)
+    time, bare = np.arange(n, dtype=float), np.zeros((n, 0))
+    for noise, expected in ((rng.normal(size=n), 1.0), (autoregressive(n, phi, rng), (1.0 + phi) / (1.0 - phi))):
+        found = spectral_density(ChannelResiduals("T", time, noise, np.ones(n), bare))
+        assert found == pytest.approx(expected, rel=0.1)
+
+
 def test_the_fit_does_not_hide_colour_that_it_took_up() -> None:
     """Mean of two successive white samples: 1 at lag 0, 1/2 at lag 1, nothing beyond; the fit takes a seventh of it."""
     rng, n, trials = np.random.default_rng(14), 200, 100

@@ -89,26 +89,28 @@ def flight_error(record: Record) -> SmoothFlightError | None:
     z = record.conditions["altitude_m"]
     count = min(math.ceil(KNOTS_A_SCALE * (z.max() - z.min()) / stated.density_scale_m), MOST_KNOTS)
     error = SmoothFlightError(record, stated, np.linspace(z.min(), z.max(), max(count, 1) + 1))
-    return error if error.directions or error.has_one_clock else None
+    return error if error.directions or error.has_clock else None
 
 
-def clock_prior(record: Record, agreement_s: float, *, clock_sigmas: float = 3.0) -> Parameter:
+def clock_prior(record: Record, agreement_s: float, *, is_free: bool = False, clock_sigmas: float = 3.0) -> Parameter:
     """The clock of the readings against that of the conditions, with its prior in the declared model.
 
     agreement_s : by how much two recorders differ that agree [s]
 
-    It is as uncertain as the time of the flight, where that is known to SKEW_SPAN_S. A shift moves the answer to a
-    manoeuvre by more than a derivative can say, so that it is a parameter of the march. A flight whose time is less
-    well known is not the one that was flown: its heating is then earlier or later than its angles say.
+    It is as uncertain as the time of the flight, and as recorders that agree at least. A shift moves the answer to a
+    manoeuvre by more than a derivative can say, so that it is a parameter of the march, up to SKEW_SPAN_S. A flight
+    whose time is less well known may not be the one that was flown: its heating is then earlier or later than its
+    angles say.
+    is_free      : whether the clock of such a flight may be off besides, by more than those of recorders that agree
     clock_sigmas : standard deviations by which the clock of a flight may be off, as far as the record allows; these may
         be wider than stated
     """
     error = flight_error(record)
-    if error is None or not error.has_one_clock:
+    if error is None or not (error.has_one_clock or (is_free and error.has_clock)):
         return replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)
     sigma_s = error.uncertainty.time_shift_s
     limit_s = min(max(clock_sigmas * max(flight_scales(record)) * sigma_s, agreement_s), SKEW_SPAN_S)
-    return replace(CLOCK_SKEW, sigma=sigma_s, lower=-limit_s, upper=limit_s)
+    return replace(CLOCK_SKEW, sigma=max(sigma_s, agreement_s), lower=-limit_s, upper=limit_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,12 +134,14 @@ class SmoothFlightError:
         return replace(self, scale=scale)
 
     @property
-    def has_one_clock(self) -> bool:
-        """Whether angles and heating are of one clock, whose shift is a parameter of the model (`clock_prior`).
+    def has_clock(self) -> bool:
+        """Whether the clock of the conditions may be off: its shift is a parameter of the model (`clock_prior`)."""
+        return self.uncertainty.time_shift_s > 0.0
 
-        An uncertainty below that of two recorders that agree needs none.
-        """
-        return CLOCK_SKEW.sigma < self.uncertainty.time_shift_s <= SKEW_SPAN_S
+    @property
+    def has_one_clock(self) -> bool:
+        """Whether that is all of the error in time, angles and heating being of one clock."""
+        return self.has_clock and self.uncertainty.time_shift_s <= SKEW_SPAN_S
 
     @cached_property
     def directions(self) -> Sequence[tuple[str, float]]:

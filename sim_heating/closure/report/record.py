@@ -36,6 +36,7 @@ from sim_heating.closure.report.plots import (
     variables_figure,
 )
 from sim_heating.closure.result import NAME, NONE, PAGE, PARTLY, UNKNOWN, Closure, ParameterEstimate, Statement, finite
+from sim_heating.closure.verdict.adequacy import p_value_text
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
 from sim_heating.estimation.report.ratio_plot import derivatives_about
@@ -139,7 +140,7 @@ def closures_table(rows: Sequence[Mapping[str, Any]], pages: Sequence[str | None
             r["record"],
             _finding_text(r),
             r["probability"],
-            _p_value_cell(r["p_value"]),
+            p_value_cell(r["p_value"]),
             *(_error_cell(r, key) for key in errors.values()),
         ]
         for r in rows
@@ -214,7 +215,7 @@ def _adequacy_section(closure: Closure) -> list[Section]:
     rows += [[n, v] for n, v in adequacy.by_phase.items()]
     resembled = closure.statement.finding == PARTLY
     whose = f"With {closure.statement.named}, which is not stated as the cause. " if resembled else ""
-    exact, p = closure.statement.model_error is None, _p_value_text(adequacy.p_value)
+    exact, p = closure.statement.model_error is None, p_value_text(adequacy.p_value)
     residuals = "Residuals" if exact else "Readings less what those before them say, by the model with its error,"
     below = (
         ""
@@ -387,14 +388,14 @@ def _evidence_section(closure: Closure) -> Section:
             Column("p-value, all", "p_value_all", ".2g"),
         ],
         [
-            [c.variable, c.lag_s, c.value, c.n_effective, _p_value_cell(c.p_value), _p_value_cell(c.p_value_all)]
+            [c.variable, c.lag_s, c.value, c.n_effective, p_value_cell(c.p_value), p_value_cell(c.p_value_all)]
             for c in e.correlations
         ],
     )
     fits = Table(
         f"Best shape of each variable, and its part of the gain of the best history of any shape. The shapes amount to "
         f"{e.trials_factor:.0f} independent trials; the p-value of the best, from noise alone, is "
-        f"{_p_value_text(e.p_value)}.",
+        f"{p_value_text(e.p_value)}.",
         [
             "shape",
             Column("size", "amplitude", "+.3g"),
@@ -410,14 +411,9 @@ def _evidence_section(closure: Closure) -> Section:
     return Section("Evidence", points=points, tables=[fits, correlations], pictures=pictures)
 
 
-def _p_value_cell(p: float | None) -> float | str | None:
-    """A p-value, or a word where it is too small to matter."""
-    return p if p is None or p > 1e-6 else "below 1e-6"
-
-
-def _p_value_text(p: float) -> str:
-    """A p-value within a sentence."""
-    return f"{p:.2g}" if p > 1e-6 else "below 1e-6"
+def p_value_cell(p: float | None) -> float | str | None:
+    """A p-value in a column of numbers of two digits, or its text where that has others."""
+    return p if p is None or f"{p:.2g}" == p_value_text(p) else p_value_text(p)
 
 
 def _sensors_section(closure: Closure) -> Section:

@@ -24,7 +24,7 @@ from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.report.record import tell_apart_section
+from sim_heating.closure.report.record import p_value_cell, tell_apart_section
 from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone, finite, listed
 from sim_heating.closure.search.evidence import Evidence
 from sim_heating.closure.search.joint_model import RECORD
@@ -238,7 +238,7 @@ def _errors_section(joint: JointClosure) -> Section:
 def _adequacy_section(joint: JointClosure) -> Section:
     best = joint.search.best if joint.statement.finding in ("found", "one of", "partly") else joint.search.none
     rows = [
-        [name, a.chi2_fit, a.chi2_holdout, a.lag1, a.p_value]
+        [name, a.chi2_fit, a.chi2_holdout, a.lag1, p_value_cell(a.p_value)]
         for name, a in zip(joint.names, best.adequacy_by_record, strict=True)
     ]
     columns: list[Column | str] = [

@@ -6,20 +6,18 @@ often explained best by an effect with a value that no vehicle has.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX, Parameter, layer_parameter
+from sim_heating.closure.search.heating_change import heating_change
 from sim_heating.closure.search.trials.candidates import Candidate
-from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects, fitted_values, sample_count
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.newton import Status
 from sim_heating.estimation.record_fit import sensor_definition
 from sim_heating.heating.effects import effects
-from sim_heating.march.ensemble import condition_history
 
 OFF = "standard deviations off"
 
@@ -61,37 +59,12 @@ def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
         else:
             continue
         # where rise and fall of a form cancel, its magnitude by itself says nothing of what it does
-        if line and not _net_change(trial, candidate, short) <= POLICY.max_scatter_sigmas * p.sigma:
+        effect = effects().get(candidate.name)
+        is_magnitude = effect is not None and short in effect.neutral
+        change = heating_change(trial, candidate) if line and is_magnitude else None
+        if line and (change is None or not np.max(np.abs(change)) <= POLICY.max_scatter_sigmas * p.sigma):
             lines += line
     return lines
-
-
-def _net_change(trial: TrialFit, candidate: Candidate, short: str) -> float:
-    """Largest relative change of the heating by an effect that multiplies it, over the samples of its record [-].
-
-    short : name of a parameter within the effect; infinity where that is no magnitude of such an effect
-    """
-    effect = effects().get(candidate.name)
-    if (
-        effect is None
-        or effect.kernel is None
-        or effect.mode != "multiply"
-        or effect.lags
-        or short not in effect.neutral
-    ):
-        return math.inf
-    used = next(u for u in fitted_effects(trial) if u.effect.name == candidate.name)
-    try:
-        marched = trial.prediction
-    except RunError:
-        return math.inf
-    read = np.isfinite(marched.history.surface_K)
-    flown = condition_history(marched.conditions.at(marched.history.time_s[read]))
-    wall_K = marched.history.surface_K[read]
-    factors = [
-        effect.kernel(np.array([*row, *used.values]), 0, len(row), T) for row, T in zip(flown, wall_K, strict=True)
-    ]
-    return float(np.max(np.abs(np.array(factors) - 1.0), initial=0.0))
 
 
 def _off(name: str, value: float, p: Parameter) -> list[str]:

@@ -20,6 +20,7 @@ import numpy as np
 
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
 from sim_heating.closure.search.admissibility import OFF, far_from_declared, objections
+from sim_heating.closure.search.heating_change import log_odds_of_jumps
 from sim_heating.closure.search.joint_model import JointModel
 from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
 from sim_heating.closure.search.simulated_records import with_simulated_p_value
@@ -161,6 +162,14 @@ class Hypothesis:
             return self.last.excess_chi2
         counts = [sample_count(t.problem) for t in self.each]
         return float(np.average([t.excess_chi2 for t in self.each], weights=counts))
+
+    @cached_property
+    def log_odds_of_jumps(self) -> float:
+        """What its change of the heating costs in log evidence as an error of the model of its record; infinity where
+        that is no such error, and for several records, which share their errors."""
+        if self.each or self.change is not None or not self.added:
+            return math.inf
+        return sum(log_odds_of_jumps(self.last, t.candidate) for t in self.added)
 
     @property
     def log_likelihood(self) -> float:
@@ -320,7 +329,7 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     admissible = [h for h in others if h.admissible]
     best = max(admissible, key=lambda h: h.log_likelihood, default=none)
     zero = [model_bic(t, b) for t, b in zip(none.by_record, best.by_record, strict=True)]
-    none_cost, scale = none.penalties + none.price, max(1.0, best.last.held_out_chi2)
+    none_cost, scale = none.penalties + none.price, best.last.held_out_scale
 
     def rated(h: Hypothesis) -> Hypothesis:
         bic = [
@@ -328,6 +337,9 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
             model_bic(t, b, h.model.common_names(t.record_fit.record) if h.model else ())
             for i, (t, b) in enumerate(zip(h.by_record, best.by_record, strict=True))
         ]  # fmt: skip
+        if not h.each:
+            gained = (h.last.log_evidence - none.last.log_evidence) / best.last.scale
+            bic[0] += 2.0 * max(gained - h.log_odds_of_jumps, 0.0)
         shares = [b - z if i in h.members else h.alone[i] for i, (b, z) in enumerate(zip(bic, zero, strict=True))]
         penalties, against = h.penalties, dict.fromkeys((*h.objections, *_not_predicted(none, h, scale)))
         return replace(

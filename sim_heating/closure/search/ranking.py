@@ -89,12 +89,11 @@ def model_bic(trial: TrialFit, best: TrialFit, common_names: Collection[str] = (
     common_names : of parameters that are in common with other records, which are not counted here
     """
     fit = trial.record_fit
-    c = max(1.0, 1.0 + best.excess_chi2)
-    held_out = trial.held_out_log_likelihood / max(1.0, best.held_out_chi2)
+    held_out = trial.held_out_log_likelihood / best.held_out_scale
     # Those with the prior of the table are common to all models; a model that frees one of them has one more.
     counted = [u for u in trial.problem.unknowns if not is_of_table(u.parameter)]
     parameters = sum(u.parameter.name not in {*common_names, *fit.flight_names} for u in counted)
-    log_posterior = trial.log_evidence / c + held_out + table_log_prior(trial.fit)
+    log_posterior = trial.log_evidence / best.scale + held_out + table_log_prior(trial.fit)
     return -2.0 * log_posterior + parameters * float(np.log(sample_count(trial.problem)))
 
 

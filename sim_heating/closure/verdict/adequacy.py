@@ -180,6 +180,14 @@ def pooled(by_record: Mapping[str, Adequacy], counts: Sequence[int]) -> Adequacy
     )
 
 
+def p_value_text(p: float) -> str:
+    """A p-value in words, with two digits, or as many as distinguish it from `Policy.adequate_p`."""
+    if p < POLICY.min_p_value:
+        return f"below {POLICY.min_p_value:g}"
+    texts = (f"{p:.{digits}g}" for digits in range(2, 18))
+    return next(t for t in texts if (float(t) >= POLICY.adequate_p) == (p >= POLICY.adequate_p))
+
+
 def p_value(statistic: float, statistics: FloatArray | None = None) -> float:
     """Share of records of known truth whose statistic is larger, (k + 1) / (n + 1) of n, linear between them.
 

@@ -221,13 +221,36 @@ def autocovariances(channels: Sequence[ChannelResiduals], inverse: FloatArray) -
     """
     gridded = [_GriddedResiduals.of(c) for c in channels]
     samples = [len(c.time_s) for c in channels]
-    allowed = [int(min(MAX_LAG_OF_SAMPLES * n, MAX_LAG_OF_ROOT * math.sqrt(n), MAX_LAG)) for n in samples]
+    allowed = [longest_lag(n) for n in samples]
     broad = _solve_autocovariances(gridded, allowed, inverse)
     lags = [significant_lags(c, n) for c, n in zip(broad, samples, strict=True)]
     solved = _solve_autocovariances(gridded, lags, inverse)
     return [
         c if c[0] > 0.0 else _plain_autocovariance(g, last) for c, g, last in zip(solved, gridded, lags, strict=True)
     ]
+
+
+def longest_lag(samples: int) -> int:
+    """Longest lag of the autocovariance of a number of samples [-].
+
+    Source: docs/theory/estimation_statistics.md, equation 24.
+    """
+    return int(min(MAX_LAG_OF_SAMPLES * samples, MAX_LAG_OF_ROOT * math.sqrt(samples), MAX_LAG))
+
+
+def spectral_density(channel: ChannelResiduals) -> float:
+    """Spectral density of residuals at frequency 0 over that of white noise as declared [-].
+
+        S = c(0) + 2 sum_l w(l) c(l),   l > 0
+
+    A slow change of the mean is distinguished from this: white noise of the same variance has S = c(0). Source:
+    docs/theory/model_error.md, equation 5b; docs/theory/estimation_statistics.md, equation 24.
+    """
+    samples = len(channel.time_s)
+    g = _GriddedResiduals.of(channel)
+    c = _plain_autocovariance(g, longest_lag(samples))
+    c = c[: significant_lags(c, samples) + 1]
+    return float(2.0 * taper_weights(len(c) - 1) @ c - c[0])
 
 
 def _plain_autocovariance(g: _GriddedResiduals, last: int) -> FloatArray:

@@ -25,6 +25,7 @@ from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.estimation.fit import FitResult, declared_model, estimate, predict_fit, rms_normalised_residual
+from sim_heating.estimation.inference.bounds import ChannelResiduals, spectral_density
 from sim_heating.estimation.inference.conditions_noise import heating_noise
 from sim_heating.estimation.inference.error_likelihood import (
     ErrorState,
@@ -34,7 +35,7 @@ from sim_heating.estimation.inference.error_likelihood import (
     noise_error,
     parameter_root_K,
 )
-from sim_heating.estimation.inference.likelihood import log_likelihood
+from sim_heating.estimation.inference.likelihood import likelihood, log_likelihood
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
@@ -193,6 +194,27 @@ class TrialFit:
         return rms_normalised_residual(self.fitted_samples) ** 2 - 1.0
 
     @cached_property
+    def scale(self) -> float:
+        """By how much its residuals are more than noise as declared, 1 at least: a difference in log likelihood counts
+        less by this [-].
+
+        Of an exact model the reduced chi-square. The error of a model takes up what is slow, but not the colour of a
+        recorder: there the spectral density at frequency 0, the mean of the channels, as slow causes are distinguished
+        from that. A sensor that states the correlation of its noise has it in its model, and counts as 1. Source:
+        docs/theory/model_error.md, equation 5b.
+        """
+        error = self.record_fit.model_error
+        if error is None:
+            return max(1.0, 1.0 + self.excess_chi2)
+        densities = [1.0 if s.channel.number in error.noise else _spectral_density(s) for s in self.fitted_samples]
+        return max(1.0, float(np.average(densities, weights=[len(s.mean_K) for s in self.fitted_samples])))
+
+    @cached_property
+    def held_out_scale(self) -> float:
+        """The same of the samples held out, where these may be off by more [-]."""
+        return max(1.0 if self.record_fit.model_error is None else self.scale, self.held_out_chi2)
+
+    @cached_property
     def held_out_log_likelihood(self) -> float:
         """Log likelihood of the samples held out, at the estimates; minus infinity where they cannot be marched.
 
@@ -225,6 +247,15 @@ class TrialFit:
         return f"<TrialFit of {name}: score {self.score:+.1f}>"
 
 
+def _spectral_density(samples: PredictedSamples) -> float:
+    """Spectral density of the innovations of a channel at frequency 0 over that of white noise as declared [-]."""
+    scored = likelihood(samples.channel.intervals, samples.mean_K, samples.spread_K)
+    no_parameters, name = np.zeros((len(samples.mean_K), 0)), samples.channel.sensor.name
+    return spectral_density(
+        ChannelResiduals(name, np.asarray(samples.time_s), scored.score, scored.information, no_parameters)
+    )
+
+
 def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResult:
     """The declared model fitted with flat priors: the baseline that everything else is compared with.
 
@@ -247,6 +278,7 @@ def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResul
 def base_trial(
     baseline: FitResult,
     *,
+    is_clock_free: bool = False,
     chi2_rounds: int = 3,
     chi2_change: float = 1.2,
     node_fraction: float = 1.0 / 3.0,
@@ -262,6 +294,8 @@ def base_trial(
     would with noise alone, and the table keeps its say. With c = 1, a missing transition turns the magnitude and
     derivatives of a table into ones that no table has, from where no candidate finds its way.
 
+    is_clock_free : whether the clock of a flight whose time is not known to SKEW_SPAN_S may be off by as much. It is
+        where it would otherwise be on its bound
     chi2_rounds, chi2_change : most fits of the base with the reduced chi-square of the one before, and the factor by
         which it has to grow for another
 
@@ -279,13 +313,13 @@ def base_trial(
     fitted, held_out = stated.record.fit_mask(), stated.record.holdout_mask()
     # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
     thin = thin_record(stated.record, max(int(node_fraction * stated.mesh.nodes), min_nodes))
-    full = _declared_problem(baseline, stated.record, priors, fitted | held_out)
-    thinned = _declared_problem(baseline, thin, priors, fitted | held_out, **THINNED_STEPS)
+    full = _declared_problem(baseline, stated.record, priors, fitted | held_out, is_clock_free)
+    thinned = _declared_problem(baseline, thin, priors, fitted | held_out, is_clock_free, **THINNED_STEPS)
     error_K, at_s = thinning_error(full, thinned, start)
 
     def problem_over(chosen: NDArray[np.bool_], c: float = 1.0) -> FitProblem:
         weighed = {n: replace(p, sigma=p.sigma / math.sqrt(c)) for n, p in priors.items()}
-        problem = _declared_problem(baseline, thin, weighed, chosen, **THINNED_STEPS)
+        problem = _declared_problem(baseline, thin, weighed, chosen, is_clock_free, **THINNED_STEPS)
         record_fit = problem.record_fits[0]
         record_fit.correction_K = error_K[:, np.isin(at_s, record_fit.sample_s)]
         if error is not None:
@@ -307,6 +341,10 @@ def base_trial(
         weighed = problem_over(fitted, c)
         at = declared if before_c == 1.0 else dict(zip(fit.names, fit.values, strict=True))
         fit = maximise_together([weighed], [start_values(weighed, at)], QUICK)[0]
+    flight, is_clock = flight_error(stated.record), np.array(fit.names) == CLOCK_SKEW.name
+    is_unknown = flight is not None and flight.has_clock and not flight.has_one_clock
+    if is_unknown and not is_clock_free and np.any(fit.on_bound & is_clock):
+        return base_trial(baseline, is_clock_free=True)
     information = np.array([p.sigma**-2.0 for p in problem.parameters])
     fit = replace(fit, prior_information=information, log_posterior=fit.log_likelihood)
     fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
@@ -395,6 +433,7 @@ def _declared_problem(
     record: Record,
     priors: Mapping[str, Parameter],
     chosen: NDArray[np.bool_],
+    is_clock_free: bool,
     **options_of_march: Any,
 ) -> FitProblem:
     """The declared model over chosen samples of a record, whole or thinned; priors are those of its table."""
@@ -403,7 +442,8 @@ def _declared_problem(
     # Clocks of two recorders never agree exactly, and an unstated skew is estimated as an effect: some room for it
     # belongs to the model without effects.
     agreement_s = min(0.25 * interval, SKEW_SPAN_S)
-    clock = {} if CLOCK_SKEW.name in stated.names else {CLOCK_SKEW.name: clock_prior(record, agreement_s)}
+    name = CLOCK_SKEW.name
+    clock = {} if name in stated.names else {name: clock_prior(record, agreement_s, is_free=is_clock_free)}
     options = FitOptions(
         effects=baseline.problem.options.effects,
         priors={**priors, **clock},

@@ -1,0 +1,62 @@
+"""What an effect does to the heating along a record, and what the model's own error would have to do in its place."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import RunError
+from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects
+from sim_heating.heating.effects import effects
+from sim_heating.march.ensemble import condition_history
+
+
+def heating_change(trial: TrialFit, candidate: Candidate) -> FloatArray | None:
+    """(sample,) relative change of the heating by an effect that multiplies it, over the samples of its record [-].
+
+    None for any other effect, for one that depends on what was before, and where the record cannot be marched.
+    """
+    effect = effects().get(candidate.name)
+    if effect is None or effect.kernel is None or effect.mode != "multiply" or effect.lags:
+        return None
+    used = next(u for u in fitted_effects(trial) if u.effect.name == candidate.name)
+    try:
+        marched = trial.prediction
+    except RunError:
+        return None
+    t, covered = marched.history.time_s, marched.conditions.time_s
+    # readings by a clock that is off may be taken beyond the ends of the conditions
+    read = np.isfinite(marched.history.surface_K) & (t >= covered[0]) & (t <= covered[-1])
+    flown = condition_history(marched.conditions.at(t[read]))
+    wall_K = marched.history.surface_K[read]
+    factors = [
+        effect.kernel(np.array([*row, *used.values]), 0, len(row), T) for row, T in zip(flown, wall_K, strict=True)
+    ]
+    return np.array(factors or [1.0]) - 1.0
+
+
+def log_odds_of_jumps(trial: TrialFit, candidate: Candidate) -> float:
+    """Price in log evidence of the same change of the heating as an error of the model; infinity where it has none.
+
+        n (d^2 / (4 s^2) + ln(tau / h))
+
+    n jumps of the heating by d, relative, between two values of an error that are independent: their difference is
+    N(0, 2 s^2), s being the size of the error that is left with the effect. In each correlation time tau such an error
+    may jump once, at any of its knots, h apart. A smooth error holds no jump, so that without this price any jump would
+    speak for an effect whose place is free. One whose place is known, as that of jets is, is no such coincidence.
+    Source: docs/theory/model_error.md, equation 5c.
+    """
+    size, error = trial.size, trial.record_fit.model_error
+    if size is None or error is None or size.mean == 0.0 or set(candidate.names) <= set(candidate.with_prior):
+        return math.inf
+    change = heating_change(trial, candidate)
+    if change is None:
+        return math.inf
+    by = float(np.ptp(change))
+    above = change > np.min(change) + 0.5 * by
+    jumps = int(np.count_nonzero(above[1:] != above[:-1]))
+    knot_s = float(error.time_s[1] - error.time_s[0])
+    return jumps * ((by / (2.0 * size.mean)) ** 2 + math.log(max(size.likeliest[1] / knot_s, 1.0)))
