@@ -230,7 +230,8 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
     B, J  : block of the lane group and its integers; rows R_BASE [-], FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2]
             of the stage are written, NEGATIVE counts the end-of-step ratios below 0
     table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
-    Used alone for perturbed lanes, whose pressure is that of their nominal lane.
+    Used alone for perturbed lanes, whose pressure is that of their nominal lane. At stage 1 of a group without gaps FILM
+    is without the effects that depend on the wall temperature.
     Source: docs/theory/equations.md, equations 5 to 8 and 6b, film = r h_ref.
     """
     table_ratios(B, J, table, stage)
@@ -244,7 +245,9 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
             r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, 0, first)
             # Effects that depend on the wall temperature are evaluated again, from here, at every Newton iterate.
             B[(k.R_BASE + stage) * LANES + lane] = r
-            r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, J[k.N_EFFECTS + lane])
+            # Of the middle of a step only gaps read the film with them: the surface evaluates them itself.
+            if stage != 1 or J[k.GAPS] == 1:
+                r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, J[k.N_EFFECTS + lane])
             H_r += _recovery_rise(B, J, lane, c, p)
             _keep_past_onset(B, J, lane, stage, c, p)
         film, factor, upstream = r * B[c + k.H_REF], 1.0, B[c + k.UPSTREAM]
