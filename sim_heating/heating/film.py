@@ -19,7 +19,7 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels import block as k
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.elementary import LN_10, exp, log10
-from sim_heating.base.kernels.jit import inline_always, njit
+from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 from sim_heating.base.kernels.lag import lag_step
 from sim_heating.base.kernels.operations import call_dispatcher
 from sim_heating.heating.atmosphere import SEA_LEVEL_PA
@@ -38,7 +38,7 @@ PRESSURE = VARIABLES
 """Index of the pressure axis among the table cells that a lane caches; the ratio table's own axes come before it."""
 
 
-@njit
+@force_inline
 def ratio_with_effects(
     B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, r: float, wall_K: float, first: int, end: int
 ) -> float:
