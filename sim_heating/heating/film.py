@@ -230,8 +230,8 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
     B, J  : block of the lane group and its integers; rows R_BASE [-], FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2]
             of the stage are written, NEGATIVE counts the end-of-step ratios below 0
     table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
-    Used alone for perturbed lanes, whose pressure is that of their nominal lane. At stage 1 of a group without gaps FILM
-    is without the effects that depend on the wall temperature.
+    Used alone for perturbed lanes, whose pressure is that of their nominal lane. FILM of stage 1 is without effects
+    that depend on the wall temperature, but in a group with gaps.
     Source: docs/theory/equations.md, equations 5 to 8 and 6b, film = r h_ref.
     """
     table_ratios(B, J, table, stage)

@@ -225,6 +225,17 @@ def glide(**changes):
 
 
 @pytest.mark.thorough
+def test_a_study_limits_the_flight_beyond_its_vehicle():
+    """Dynamic pressure in the last minutes is above 5 kPa where only the vehicle's 18 kPa limit it."""
+    peaks = [
+        {p.name: p.value for p in fly_optimal(glide(mesh_tolerance=1e-2, **limits)).flight_peaks}
+        for limits in ({}, {"flight_limits": {"dynamic_pressure_Pa": 5000.0}})
+    ]
+    assert peaks[0]["dynamic pressure"] > 6000.0
+    assert peaks[1]["dynamic pressure"] < 5100.0
+
+
+@pytest.mark.thorough
 def test_a_mesh_that_cannot_be_refined_further_ends_the_search_with_a_note():
     asked, entry = fly_optimal(glide(mesh_tolerance=1e-4)), fly_optimal(glide(mesh_tolerance=1e-15))
     assert asked.notes == ()
