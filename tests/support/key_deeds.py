@@ -708,7 +708,7 @@ CAMPAIGN: Document = {
     "fit": {"parameters": ["ratio.scale"], "reference": {"alpha_deg": 39.0}, "fix": {"ratio.d_alpha": 0.001},
             "prior": {"ratio.scale": [0.0, 0.1]}, "bound": {"ratio.scale": [-0.5, 0.5]}, "before_s": 4.0,
             "after_s": 30.0, "start": "declared"},
-    "fit_of": [{"flight": "entry-seed12", "control_point": "V09T9527", "manoeuvre": "popu-mach22", "after_s": 8.0}],
+    "fit_of": [{"flight": "entry-seed12", "control_point": "V09T9527", "manoeuvre": "popu-mach22", "after_s": 2.0}],
     "joint": {"fitted": True, "speed_tolerance": 0.03}, "close_loop": False, "update_tables": True,
 }  # fmt: skip
 

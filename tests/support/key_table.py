@@ -36,7 +36,8 @@ REFUSES: dict[str, str] = {
     "Design.control_point": "no control point",
     "DeclaredEffect.name": "unknown effect", "FileBase.file": "no such file", "Mass.cg_range": "cg_fraction",
     "ScenarioEffect.name": "unknown effect", "ScenarioFile.vehicle": "unknown vehicle",
-    "SensorFault.sensor": "unknown sensor", "SensorField.control_point": "`sensor`",
+    "SelectedFit.control_point": "there is no", "SensorFault.sensor": "unknown sensor",
+    "SensorField.control_point": "`sensor`",
     "StudyFile.revision": "the study needs", "DesignVariable.manoeuvre": "there is no manoeuvre",
 }  # fmt: skip
 """Keys that name something else, or limit it: what the refusal of another value says where it does not name the key."""
