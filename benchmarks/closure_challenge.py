@@ -71,7 +71,7 @@ REFUSED = {"finding": "refused", "alternatives": [], "probability": 0.0, "calibr
            "p_value": None, "converged": True, "effects_stated": []}  # fmt: skip
 """What is kept of a record that is not read."""
 SHORT = 3
-"""Names that cannot be told apart, in one set of a statement at most."""
+"""Names that cannot be distinguished, in one set of a statement at most."""
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 """Limits of the probabilities that are counted together."""
 
@@ -262,7 +262,7 @@ def explains(sets: Sequence[Sequence[str]], truth: Sequence[Sequence[str]]) -> b
 
 
 def things(row: Mapping[str, Any]) -> list[list[str]]:
-    """What is named: each set of names that cannot be told apart; a cause that is no effect is `kind:` and its kind."""
+    """What is named: each set of names that cannot be distinguished; a cause that is no effect is `kind:KIND`."""
     kinds = row.get("kinds", {})
 
     def name(word: str) -> str:

@@ -5,11 +5,11 @@
 
 A vehicle has a point of `challenge` whose wall and table are other than declared: emittance, coating and insulation by
 the standard deviations that every wall has, magnitude and derivatives within the sigma of the table. Its flights have
-errors of the kinds of `challenge/world.py`, of one size for all of them and drawn anew for each: splines or arcs of the
-heating, clock, duration, velocity, angle of attack, density. Three flights are fitted, wall, magnitude and derivatives
-with their priors and with the error of the model. One more is predicted, as `predict --bands --member` does it, and
-flown FLOWN times with other errors, none of which any fit has seen. Sizes are declared rightly, a third as large, or
-not at all. The true model knows wall, table and the sizes of the errors, and none of the errors.
+errors of the kinds of `challenge/world.py`, of one size for all of them and drawn again for each: splines or arcs of
+the heating, clock, duration, velocity, angle of attack, density. Three flights are fitted, wall, magnitude and
+derivatives with their priors and with the error of the model. One more is predicted, as `predict --bands --member` does
+it, and flown FLOWN times with other errors, none of which any fit has seen. Sizes are declared rightly, a third as
+large, or not at all. The true model knows wall, table and the sizes of the errors, and none of the errors.
 
 On STS-96: each tile as `predict --bands` has it, and each from the other three, as the last run of
 `tile_left_out` has it. Finished vehicles are kept in out/coverage: an interrupted run is resumed from there.
@@ -166,7 +166,7 @@ class Vehicle:
         return self.ratio
 
     def _world(self, rng: Generator, case: Case) -> World:
-        """Errors of a flight: those of the first one drawn anew."""
+        """Errors of a flight: those of the first one drawn again."""
         if self.first is None:
             world = replace(draw_world(rng, case, "null", 0), spike=(0.0, 0.0), declared=self.declared)
             for i, calibration in world.polynomials.items():

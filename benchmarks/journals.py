@@ -3,8 +3,8 @@
     python -m benchmarks journals
     python -m benchmarks.journals --small
 
-What must hold: nothing is lost but what was damaged, that is told, nobody sees a traceback, and no reading gets a wrong
-unit.
+What must hold: nothing is lost but what was damaged, which is reported, nobody sees a traceback, and no reading gets a
+wrong unit.
 """
 
 from __future__ import annotations
@@ -127,8 +127,8 @@ def damaged_journals(count: int, seed: int = SEED) -> dict[str, int]:
     """What became of journals that were damaged at random.
 
     returns : number of journals; of messages that were damaged; of those that were lost beside these, that were read
-              and never sent, that an untold damage took; of journals that were gone on with, and of those of which the
-              next link lost something, or kept no copy; of errors other than a refusal in one line
+              and never sent, that an unreported damage took; of journals that were gone on with, and of those of which
+              the next link lost something, or kept no copy; of errors other than a refusal in one line
     """
     tally = dict.fromkeys(
         (
@@ -264,7 +264,7 @@ class Running:
         return None
 
     def ended(self, number: int | None = None) -> tuple[int, str]:
-        """Send a signal, if one is given, and wait; exit status and what was told."""
+        """Send a signal, if one is given, and wait; exit status and what was reported."""
         if number is not None and self.process.poll() is None:
             self.process.send_signal(number)
         status = self.process.wait(300.0)

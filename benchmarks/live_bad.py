@@ -56,7 +56,7 @@ SEED = 25
 class Replayed:
     """A link of TOGETHER replays at its end.
 
-    error, sigma : (point, parameter) estimate less truth, and the standard deviation that was told
+    error, sigma : (point, parameter) estimate less truth, and the standard deviation that was reported
     """
 
     error: FloatArray
@@ -142,7 +142,7 @@ def all_coverage(replays: int, progress: Progress) -> list[Figure]:
 
 
 def damaged(body: bytes, rng: np.random.Generator) -> bytes:
-    """A packet that is damaged so that it can be told: what is left of it says nothing that was not sent."""
+    """A packet that is damaged so that it can be reported: what is left of it says nothing that was not sent."""
     kind = int(rng.integers(0, 9))
     at = int(rng.integers(1, len(body) - 1))
     own: dict[str, Any] = json.loads(body)

@@ -20,7 +20,7 @@ from xml.etree import ElementTree as ET
 
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
 PARAMETERS = "parameters"
-"""Name of the parameter sets in the system; ecos applies those that it is told."""
+"""Name of the parameter sets in the system; ecos applies those that it is given."""
 
 
 def described(system: Path) -> tuple[list[str], float]:

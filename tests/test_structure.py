@@ -107,7 +107,7 @@ def test_modules_that_texts_name_exist():
     ]
     for path in (ROOT / "README.md", *pages, *code):
         for name in re.findall(r"\b(?:from|import) (sim_heating(?:\.\w+)+)", path.read_text()):
-            if name not in modules() and path.name != "test_user_effect.py":  # which imports what is gone, to be told
+            if name not in modules() and path.name != "test_user_effect.py":  # which imports what is gone
                 wrong.append(f"{path.relative_to(ROOT)}: {name}")
     assert not wrong, "\n".join(wrong)
 

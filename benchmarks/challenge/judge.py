@@ -29,7 +29,7 @@ DRAWS, CHANGES = 5, 5
 NEAR = 0.5
 """Part of the chi-square of `none` that the best draw may leave for its parameters to be changed."""
 BIC = 10.0
-"""Difference of BIC below which two explanations cannot be told apart."""
+"""Difference of BIC below which two explanations cannot be distinguished."""
 
 
 @dataclass(frozen=True)

@@ -306,7 +306,7 @@ def _sized(
 
 
 def _judged(rng: Generator, bench: Bench, drawn: Sequence[Drawn], of_class: str) -> dict[str, Any]:
-    """The effects of the truth, and what cannot be told from each by a linear estimate."""
+    """The effects of the truth, and what cannot be distinguished from each by a linear estimate."""
     changes = [bench.change([d]) for d in drawn]
     truth = [] if of_class in FAULTS else [d.family.name for d in drawn]
     slots = []

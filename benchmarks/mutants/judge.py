@@ -36,7 +36,8 @@ from benchmarks.mutants.subjects import OUT, Command, Subject, available, choose
 LONGEST_S = 10.0
 """Processor time that a command may take [s]; wall time is that of a busy machine."""
 PATIENCE_S = 180.0
-"""Wall time after which a process that computes nothing counts as hung [s]."""
+"""Wall time after which a process that computes nothing counts as hung [s]; a command that may compute for longer has
+three times that."""
 LONGEST_LINE = 700
 GOOD = ("accepted", "told", "refused", "failed")
 """What may follow: done, done with a warning of one line, refused in a line, failed in a line."""
@@ -120,7 +121,7 @@ def run_numbers(
             try:
                 while waiting:
                     here.send(waiting[-1])
-                    result = _answer(here, process, home, seed, waiting[-1], work)
+                    result = _answer(here, process, home, seed, waiting[-1], work, max(PATIENCE_S, 3.0 * longest_s))
                     waiting.pop()
                     if result.outcome not in GOOD and faults is not None:
                         keep(faults, home, seed, result)
@@ -149,14 +150,14 @@ def _tail(work: str) -> str:
     return (Path(work) / "output").read_text(errors="replace")[-1500:]
 
 
-def _answer(here: Connection, process: Any, home: Path, seed: int, number: int, work: str) -> Result:
+def _answer(here: Connection, process: Any, home: Path, seed: int, number: int, work: str, patience_s: float) -> Result:
     """The result of a mutant, also where its process dies or hangs."""
     try:
-        if here.poll(PATIENCE_S):
+        if here.poll(patience_s):
             found = here.recv()
             assert isinstance(found, Result)
             return found
-        outcome, message = "hung", f"no answer within {PATIENCE_S:g} s"
+        outcome, message = "hung", f"no answer within {patience_s:g} s"
         process.kill()
     except (EOFError, ConnectionError):
         process.join()

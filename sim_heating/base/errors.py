@@ -66,7 +66,7 @@ class InputError(ValueError):
 
 @contextmanager
 def reworded(reword: Callable[[str], str]) -> Iterator[None]:
-    """Word every problem that the block raises anew."""
+    """Word every problem that the block raises again."""
     try:
         yield
     except InputError as error:

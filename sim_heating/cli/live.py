@@ -183,7 +183,7 @@ def _follow(
         journal.close(is_end=ended)
     if journal.problem:
         print_warning(journal.problem)
-    _print_summary(engine, state)  # first: it is told though the disk is full
+    _print_summary(engine, state)  # first: it is reported though the disk is full
     names, notes = _written(engine, state, directory)
     for line in notes:
         print_warning(line)

@@ -2,8 +2,8 @@
 
 Without an error of the heating the flight takes up what it can: it is free within three standard deviations of each of
 its errors, which is as far as anyone would believe. The response to them is a difference of marches about the stated
-flight, and is another one there. So it is taken anew about the flight found, as long as the march itself gains by that:
-Gauss and Newton's iteration over flight and parameters. Source: docs/theory/model_error.md, equation 7.
+flight, and is another one there. So it is taken again about the flight found, as long as the march itself gains by
+that: Gauss and Newton's iteration over flight and parameters. Source: docs/theory/model_error.md, equation 7.
 """
 
 from __future__ import annotations

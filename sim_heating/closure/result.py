@@ -276,7 +276,7 @@ class Statement:
         return f"does not explain the record to its noise ({p}){remain}{most}"
 
     def would_tell(self) -> list[str]:
-        """What would tell the alternatives apart, a line each; none where nothing has to be told apart.
+        """What would tell the alternatives apart, a line each; none where nothing has to be distinguished.
 
         Where the best has odds below `Policy.odds_apart`, one line that says so.
         """

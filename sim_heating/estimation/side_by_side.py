@@ -111,7 +111,7 @@ def maximise_together(
     """
     begin = [None] * len(problems) if starts is None else list(starts)
     settings_of = settings if isinstance(settings, Sequence) else [settings] * len(problems)
-    # of all problems first: a prior that is invalid is told before any work
+    # of all problems first: a prior that is invalid is reported before any work
     every = [iteration(p.parameters, first, s) for p, first, s in zip(problems, begin, settings_of, strict=True)]
     # the richest first, as they mostly take the most steps: a long fit that begins last has a process for itself
     order = sorted(range(len(problems)), key=lambda k: -len(problems[k].parameters))

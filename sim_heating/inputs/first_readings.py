@@ -15,7 +15,7 @@ from sim_heating.inputs.sensor_model import indicated_temperature
 from sim_heating.thermal.stack import Sensor
 
 TOLERANCE_K = 50.0
-"""Difference of a first reading from the declared start that is told [K]."""
+"""Difference of a first reading from the declared start that is reported [K]."""
 LATER_S = 50.0
 """Time after the first reading at which a start in depth is proposed [s]: the readings until then tell of it."""
 FASTEST_K_S = 30.0

@@ -30,7 +30,7 @@ from sim_heating.thermal.tables import WallEnthalpy
 HEATING_TOLERANCE = 0.01
 """Mean relative difference from which two reference heatings count as different."""
 HEATED = 0.1
-"""Heating of a wall over the largest of the flight from which its relative changes are told [-]."""
+"""Heating of a wall over the largest of the flight from which its relative changes are reported [-]."""
 RECORDS_KEPT = 8
 """Records whose declared model and heated conditions are kept: a search makes hundreds of problems over one record."""
 

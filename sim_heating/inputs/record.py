@@ -1072,8 +1072,8 @@ def _order_remarks(conditions: CsvTable, thermocouples: CsvTable, declared: Reco
 
 
 SCATTER_RATIO, SCATTER_SAMPLES = 3.0, 30
-"""Scatter of readings over the declared random error that is told, and least number of readings for it: the chi-square
-of a fit would be nine times what is declared."""
+"""Scatter of readings over the declared random error that is reported, and least number of readings for it: the
+chi-square of a fit would be nine times what is declared."""
 
 
 def _scatter_remarks(thermocouples: CsvTable, declared: RecordFile) -> list[str]:

@@ -35,8 +35,8 @@ from sim_heating.heating.recorded.cells.clocks import (
     ORDERS,
     Clock,
     clock_of,
-    may_be_hhmmss,
     over_midnight,
+    possible_clock,
     with_colons,
 )
 from sim_heating.heating.recorded.cells.numbers import (
@@ -449,9 +449,9 @@ def _readings_by_stamp(
 def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     """Names, units and cells of the columns, by one layout of numbers for the file."""
     names, stated = _names_and_units(block)
-    if chosen.time_unit == "hhmmss":
+    if (layout := chosen.time_unit) in CLOCKS:
         times = {n for n in names if re.search(HEADS[0][1], n)} | {chosen.time}
-        as_clock = [with_colons(c) if n in times else c for n, c in zip(names, block.cells, strict=True)]
+        as_clock = [with_colons(c, layout) if n in times else c for n, c in zip(names, block.cells, strict=True)]
         block = replace(block, cells=tuple(as_clock))
     clocks = {k for k in range(len(names)) if _mostly(block.column(k), is_clock)}
     signs = number_signs(block, sorted({*range(len(names))} - clocks), chosen.decimal)
@@ -886,10 +886,10 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
         if UNIX_S[0] * size <= values.min() and values.max() <= UNIX_S[1] * size:
             return unit, "", f"{column.reason}; {unit} since 1970 by the size"
     step = float(np.median(np.diff(values))) if len(values) > 1 else 1.0
-    if len(values) > 1 and may_be_hhmmss(values):
+    if len(values) > 1 and (clock := possible_clock(values)):
         raise InputError(
             f"{display_path(block.path)}, column {head.name}: `{head.cells[0]}` may be a time of day or seconds; state "
-            "--time-unit hhmmss or --time-unit s"
+            f"--time-unit {clock} or --time-unit s"
         )
     if _are_days(values) and step < 0.05:
         return "day", "", f"{column.reason}; days of a spreadsheet by the size"
@@ -1037,9 +1037,11 @@ def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayou
     if stated and not column.unit and not re.fullmatch(REMARK, stated.strip()):
         is_voltage = is_emf(stated) and column.kind == TEMPERATURE
         state = f"{THERMOCOUPLE_EXAMPLE} for an emf" if is_voltage else UNIT_OPTIONS[column.kind]
+        has_factor = re.search(r"^[\d.]+ ?\D|[x*\u00d7] ?10", stated)
+        remedy = f"write the numbers times their factor, and {state}" if has_factor else f"state it, {state}"
         raise InputError(
             f"{display_path(block.path)}, column {column.name}: `{stated}` is not a unit of {column.kind} that is "
-            f"known; state it, {state}, or name the columns that are read, --temperature COLUMN"
+            f"known; {remedy}, or name the columns that are read, --temperature COLUMN"
         )
     return column
 
@@ -1254,7 +1256,7 @@ def _is_used(block: Block, k: int, used: Sequence[CsvColumn]) -> bool:
 def _stated(
     chosen: LoggerLayout, block: Block, signs: Signs, columns: Sequence[CsvColumn], heads: Sequence[_Head]
 ) -> LoggerLayout:
-    """The layout as it was read: units where the file states none itself, which each file may state anew."""
+    """The layout as it was read: units where the file states none itself, which each file may state again."""
     clock = next(c for c in columns if c.kind == TIME)
     unit_of = {h.name: h.unit for h in heads}
     has_own = {c.name for c in columns if c.kind == _kind_by_unit(unit_of.get(c.name, "")) != UNUSED}

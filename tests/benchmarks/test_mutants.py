@@ -10,7 +10,7 @@ import pytest
 from benchmarks.mutants.judge import GOOD, Result, mutant, names_a_file, run_numbers
 from benchmarks.mutants.subjects import command_text, make_inputs
 
-SEED, COUNT = 771123, 300
+SEED, COUNT = 771123, 200
 COMPUTING = 5
 """One in so many of the commands that compute is run; all of those that only read."""
 LONGEST_S = 120.0

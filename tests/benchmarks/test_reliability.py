@@ -36,7 +36,7 @@ def test_a_clock_that_is_set_takes_nothing_from_a_flight(act) -> None:
     assert {n: c for n, c in found.items() if n != "moves" and "went back" not in n and c} == {}
 
 
-@pytest.mark.filterwarnings("default:.*, which `.*` had not written:UserWarning")  # what --force replaces is told
+@pytest.mark.filterwarnings("default:.*, which `.*` had not written:UserWarning")  # what --force replaces is reported
 def test_damaged_results_are_made_again_or_refused_by_name() -> None:
     counted, faults = damaged_results(3, seed=1)
     assert sum(counted.values()) == 3

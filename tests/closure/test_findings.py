@@ -1,4 +1,4 @@
-"""What a closed loop states: adequacy of a model, sets that cannot be told apart, and what may not be named."""
+"""What a closed loop states: adequacy of a model, sets that cannot be distinguished, and what may not be named."""
 
 from __future__ import annotations
 

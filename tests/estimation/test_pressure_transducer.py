@@ -58,7 +58,7 @@ def test_a_gain_that_is_known_to_two_per_cent_limits_the_factor() -> None:
 
 
 def test_errors_of_the_factor_are_those_that_are_stated() -> None:
-    """Words of 8 bits, gain and bias drawn anew in each of 400 flights: a sum of squares within 3 sigma of its own."""
+    """Words of 8 bits, gain and bias drawn again in each of 400 flights: a sum of squares within 3 sigma of its own."""
     instrument = transducer(bias_sigma_Pa=30.0, gain_sigma=0.01, bits=8, range_Pa=[0.0, 5000.0])
     rng, z = np.random.default_rng(2), []
     for _ in range(400):

@@ -1,4 +1,4 @@
-"""Interval of a parameter by the profile of the likelihood: a parabola, a bound, an onset that is told or not."""
+"""Interval of a parameter by the profile of the likelihood: a parabola, a bound, an onset that is reported or not."""
 
 from __future__ import annotations
 

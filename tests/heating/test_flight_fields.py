@@ -1,4 +1,4 @@
-"""Flight conditions by the names and units of a file: each kind of file has its right values, what follows is told."""
+"""Flight conditions by the names and units of a file: each kind has its right values, what follows is reported."""
 
 from __future__ import annotations
 

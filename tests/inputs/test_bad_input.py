@@ -391,7 +391,7 @@ SNIPPETS = st.sampled_from(
 
 @pytest.mark.thorough
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@pytest.mark.filterwarnings("ignore::UserWarning")  # names in letters of another encoding are told, and read
+@pytest.mark.filterwarnings("ignore::UserWarning")  # names in letters of another encoding are reported, and read
 @given(data=st.data())
 def test_no_damage_gives_anything_but_a_record_or_an_input_error(tmp_path: Path, data: st.DataObject) -> None:
     folder = tmp_path / "record"

@@ -1,4 +1,4 @@
-"""A record that begins hot and declares a cold wall is told, by the reading and its time."""
+"""A record that begins hot and declares a cold wall is reported, by the reading and its time."""
 
 from __future__ import annotations
 

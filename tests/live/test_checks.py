@@ -1,4 +1,4 @@
-"""Sensors that fail are taken out, and told; healthy ones, and a model that is wrong, are left alone."""
+"""Sensors that fail are taken out, and reported; healthy ones, and a model that is wrong, are left alone."""
 
 from __future__ import annotations
 

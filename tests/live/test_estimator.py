@@ -1,4 +1,4 @@
-"""The running estimate: a function of the samples, not of the order in which they came; honest, and told where not."""
+"""The running estimate: a function of the samples, not of their order; honest, and reported where not."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def in_order(samples: Sequence[Sample]) -> list[Sample]:
 
 
 class SamePoints:
-    """Control points of one wall on one flight, told apart by their names: what a link of many points estimates.
+    """Control points of one wall on one flight, distinguished by their names: what a link of many points estimates.
 
     record : declares wall, sensors and conditions;  count : number of points
     """

@@ -879,8 +879,40 @@ def test_a_difference_of_temperatures_is_no_temperature() -> None:
     assert [c.name for c in read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)] == ["TC1"]
 
 
-@pytest.mark.parametrize("name", ["TC1 (C) x10", "TC1 C*10", "TC1 [degC] \u00d7 10"])
+@pytest.mark.parametrize("name", ["TC1 (C) x10", "TC1 C*10", "TC1 [degC] \u00d7 10", "TC1 (0.1 C)"])
 def test_a_factor_beside_a_unit_is_not_left_out(name: str) -> None:
     Path("t.csv").write_text(f"Time (s),{name}\n" + rows_of(lambda i, T: f"{2 * i},{10 * T:.0f}"))
-    with pytest.raises(InputError, match=r"column TC1.*[x*\u00d7] ?10"):
+    with pytest.raises(InputError, match=r"column TC1.*: `.*`.*write the numbers times their factor"):
         read_measured_csv(Path("t.csv"))
+
+
+def test_the_value_at_power_on_is_left_out_of_a_steep_heating() -> None:
+    rows("Time (s),TC1 (C)", [f"{2 * i},{85 if i == 0 else 20 + 25 * i}" for i in range(12)])
+    column = read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)[0]
+    assert np.flatnonzero(np.isnan(column.si)).tolist() == [0]
+
+
+def test_a_plate_that_cools_from_85_degrees_keeps_its_first_reading() -> None:
+    rows("Time (s),TC1 (C)", [f"{2 * i},{85 if i == 0 else 60 - 4 * i}" for i in range(12)])
+    assert read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)[0].si[0] == 358.15
+
+
+DOTTED = [(10 * 60 + 57 + i, 20 + i) for i in range(6)]
+
+
+def test_hours_and_minutes_with_a_point_are_asked_and_read_as_stated() -> None:
+    rows("Time,TC1 (C)", [f"{m // 60}.{m % 60:02d},{T}" for m, T in DOTTED])
+    with pytest.raises(InputError, match=r"`10\.57` may be a time of day or seconds; state --time-unit hh:mm or"):
+        read_measured_csv(Path("t.csv"))
+    assert span_s(read_measured_csv(Path("t.csv"), time_unit="hh:mm")) == 300.0
+    assert span_s(read_measured_csv(Path("t.csv"), time_unit="s")) == pytest.approx(0.45)
+
+
+def test_a_time_of_three_numbers_with_points_is_no_date() -> None:
+    for date in ("", "13.05.2024 "):
+        rows("Zeit;TC1 (C)", [f"{date}{m // 60}.{m % 60:02d}.30;{T}" for m, T in DOTTED])
+        assert span_s(read_measured_csv(Path("t.csv"))) == 300.0
+    rows("Datum;Zeit;TC1 (C)", [f"13.05.2024;{m // 60}.{m % 60:02d}.30;{T}" for m, T in DOTTED])
+    assert span_s(read_measured_csv(Path("t.csv"))) == 300.0
+    rows("Datum;TC1 (C)", [f"{10 + k}.05.24;{T}" for k, (_, T) in enumerate(DOTTED)])
+    assert span_s(read_measured_csv(Path("t.csv"))) == 5 * 86400.0

@@ -1,4 +1,4 @@
-"""Flights as tools write them become records and scenarios: what follows is told, what is absent is asked at once."""
+"""Flights as tools write them become records and scenarios: what follows is reported, what is absent asked at once."""
 
 from __future__ import annotations
 

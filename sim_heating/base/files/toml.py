@@ -276,7 +276,7 @@ def _toml_syntax(name: str, text: str, message: str) -> str:
 
 
 def check(data: Any, model: type[M], where: str, *, tells: bool = True) -> M:
-    """A pydantic model of plain data, with problems reported as in a file named `where`; what is unusual is told.
+    """A pydantic model of plain data, with problems reported as in a file named `where`; what is unusual is reported.
 
     tells  : false where the data come from files that have been told of already
     raises : InputError, all problems at once

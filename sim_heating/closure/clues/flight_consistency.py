@@ -280,7 +280,7 @@ def _path(flown: Conditions) -> _Relation | None:
 
 
 def _drag(flown: Conditions, *, least_drag_m_s2: float = 0.5) -> _Relation:
-    """least_drag_m_s2 : drag below which nothing is told [m/s2]."""
+    """least_drag_m_s2 : drag below which nothing is reported [m/s2]."""
     V, z = np.maximum(flown["velocity_m_s"], 1.0), flown["altitude_m"]
     sinking = _smoothed(_gravity(z) * np.gradient(z, flown.time_s) / V, flown)
     drag = -_slope(V, flown) - sinking
@@ -293,7 +293,7 @@ def _drag(flown: Conditions, *, least_drag_m_s2: float = 0.5) -> _Relation:
 
 
 def _axial(flown: Conditions, *, least_sensed_m_s2: float = 0.05) -> _Relation | None:
-    """least_sensed_m_s2 : axial acceleration below which nothing is told [m/s2]."""
+    """least_sensed_m_s2 : axial acceleration below which nothing is reported [m/s2]."""
     if "axial_accel_g" not in flown:
         return None
     q = 0.5 * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2

@@ -206,7 +206,7 @@ SHORTEST_S = 15.0
 """Shortest correlation time of a heating's error in a fit and in a prediction, where none is stated [s].
 
 A search for causes has none below a minute, since a shorter one would buy a jump (docs/theory/model_error.md, section
-"Size"). Nothing is told from another here, and an error that changes faster would count as a larger one.
+"Size"). Nothing is distinguished from another here, and an error that changes faster would count as a larger one.
 """
 
 

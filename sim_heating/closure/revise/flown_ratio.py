@@ -81,7 +81,7 @@ class FlownRatio:
     def combinations(self, axes: Sequence[FloatArray]) -> Evidence:
         """Only the combinations of nodes that the parameters are about, for a test of the fit against a table.
 
-        Their number is that of the parameters that can be told apart along the path.
+        Their number is that of the parameters that can be distinguished along the path.
         """
         nodes, A, r, E = self._weighted(axes)
         U, s, _ = np.linalg.svd(E, full_matrices=False)

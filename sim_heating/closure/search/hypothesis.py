@@ -208,7 +208,7 @@ def hypothesis(trials: Sequence[TrialFit], forms: Mapping[str, int]) -> Hypothes
 
 
 def fitted_anew(h: Hypothesis, trial: TrialFit) -> Hypothesis:
-    """A hypothesis whose parameters are fitted anew, with the objections to it as it is then.
+    """A hypothesis whose parameters are fitted again, with the objections to it as it is then.
 
     trial : the last one, of this fit
 

@@ -145,7 +145,7 @@ class Policy:
 
     @property
     def set_margin(self) -> float:
-        """Difference of scores within which hypotheses cannot be told apart [BIC]."""
+        """Difference of scores within which hypotheses cannot be distinguished [BIC]."""
         return 2.0 * math.log(self.odds_apart)
 
 

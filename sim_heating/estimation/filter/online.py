@@ -487,7 +487,7 @@ class OnlineFilter(FilterMarch):
             for i in moved:
                 self._write_model(i)
             self._copy_back(snapshot.numbers)
-        # The next step assembles them anew; what stays in them, parameters and the memory of lag, is that of the end.
+        # The next step assembles them again; what stays in them, parameters and the memory of lag, is that of the end.
         for x in self._X[:2]:
             for present, end in zip(_heads(x, groups), _heads(self._X.end, groups), strict=True):
                 present[:] = end
@@ -504,7 +504,7 @@ class OnlineFilter(FilterMarch):
             at += array.size
 
     def _changing(self) -> tuple[FloatArray | IntArray, ...]:
-        """All that changes from step to step and is not found anew by the next one: what is in the nodes of the
+        """All that changes from step to step and is not found again by the next one: what is in the nodes of the
         perturbed lanes follows from the nominal ones and from the parameters."""
         info, heads = self._information, _heads(self._X.end, self._groups.groups)
         mesh = () if self._mesh_error is None else (self._mesh_error.state,)

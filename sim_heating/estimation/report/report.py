@@ -351,10 +351,14 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
 
 
-def write_fit_data(fitted: FitResult, estimate: Estimate, folder: Path) -> list[Callable[[], object]]:
+def write_fit_data(
+    fitted: FitResult, estimate: Estimate, folder: Path, after: Sequence[Prediction] = ()
+) -> list[Callable[[], object]]:
     """Write the numbers of a fit into an existing folder: estimate.json and temperatures.
 
     estimate : contents of estimate.json
+    after    : of each record, the plain march that is shown in place of the fit's own, such as one along a flight that
+               was found
     returns  : functions that draw its pictures there, for `draw_files`
     """
     from sim_heating.estimation.report.filtered import filtered_history, write_filtered
@@ -366,12 +370,13 @@ def write_fit_data(fitted: FitResult, estimate: Estimate, folder: Path) -> list[
     if fitted.profiles:
         sigmas = dict(zip(fitted.labels, fitted.bounds.sigma.tolist(), strict=True))
         draws.append(partial(draw_profiles, folder / PROFILE_PICTURE, list(fitted.profiles.values()), sigmas))
-    parts = zip(fitted.problem.record_fits, fitted.before, fitted.after, _record_folders(fitted, folder), strict=True)
-    for record_fit, before, after, record_folder in parts:
+    shown = after or fitted.after
+    parts = zip(fitted.problem.record_fits, fitted.before, shown, _record_folders(fitted, folder), strict=True)
+    for record_fit, before, march, record_folder in parts:
         record_folder.mkdir(exist_ok=True, parents=True)
-        write_temperatures_csv(record_folder / TEMPERATURES, after.history.time_s, after.history, after.record.sensors)
+        write_temperatures_csv(record_folder / TEMPERATURES, march.history.time_s, march.history, march.record.sensors)
         filtered = fitted.innovations is not None
-        draws.append(partial(draw_fit, record_folder / FIT_PICTURE, before, after, filtered=filtered))
+        draws.append(partial(draw_fit, record_folder / FIT_PICTURE, before, march, filtered=filtered))
         draws.append(partial(draw_ratio, record_folder / RATIO_PICTURE, fitted, record_fit))
         if fitted.innovations is not None:
             write_filtered(record_folder, filtered_history(fitted.innovations, fitted.fit.values, record_fit))

@@ -2,8 +2,8 @@
 
 `implausible_values` is refused. Its tolerances follow from physics and are wide: a column in another unit, in another's
 place, or damaged, never a flight with scatter, in another gas, or with an atmosphere that differs from the standard
-one. `unusual_values` is told, and the columns are used: a relation that is off what flights on Earth have, or a sample
-that stands out of those before and after it. Records, trajectories and links are checked alike.
+one. `unusual_values` is reported, and the columns are used: a relation that is off what flights on Earth have, or a
+sample that stands out of those before and after it. Records, trajectories and links are checked alike.
 
     p = rho R T       R between that of carbon dioxide and of hydrogen; a pressure in hPa, or a temperature in
                       Rankine, lies outside
@@ -58,7 +58,7 @@ STANDARD_BELOW_M, STANDARD_SPAN_M = 100e3, 5e3
 FOOT_M = 0.3048
 LEAST_ROWS = 3
 FEET_FROM_M = 3e3
-"""Altitude [m] from which one in ft is told from one in m by the air."""
+"""Altitude [m] from which one in ft is distinguished from one in m by the air."""
 NEAR_STANDARD, FAR_FROM_STANDARD = 0.2, 0.3
 """Logarithms of the ratio to the standard atmosphere: of air that is near it, and of air that is not."""
 PART_M = 5e3

@@ -164,7 +164,7 @@ def read_flight(
 
 
 def newest_last(flight: FlightTable) -> FlightTable:
-    """A flight that begins with its newest row in the order of time, told; another one as it is."""
+    """A flight that begins with its newest row in the order of time, reported; another one as it is."""
     table = flight.table
     if not runs_back(table["time_s"]):
         return flight

@@ -100,7 +100,7 @@ class ClockJudge:
                     f"samples come for times from {now.first_s:g} s on that have come already: a clock that went back, "
                     "or two sources of one quantity; which of them is told once that has ended"
                 )
-        elif ended.samples >= CONFIRMED_BY:  # the next such event is told again
+        elif ended.samples >= CONFIRMED_BY:  # the next such event is reported again
             self._has_told_conflict, timeline.conflict_s = False, None
         return ended
 

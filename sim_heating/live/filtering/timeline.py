@@ -28,7 +28,7 @@ MOST_WAITING = 10_000
 """Number of readings that wait for a new clock, or ahead of the newest frame, at most."""
 
 LATE_IN_A_ROW, TOO_LATE_IN_A_ROW = 30, 5
-"""Readings of a sensor, one after the other, that come late by half the window, or after it, until that is told.
+"""Readings of a sensor, one after the other, that come late by half the window, or after it, until that is reported.
 Of delays that are as long as they happen to be, to the length of the window, one in 2^30 does so."""
 SAME_TIME = 0.01
 """Part of the time between two readings of a sensor within which a third one has the time of one of them [-]."""
@@ -329,7 +329,7 @@ class Timeline:
         return min((t for t in self.differs_s if t > reached_s), default=math.inf)
 
     def repeated_until_now(self) -> Repeated | None:
-        """The times that came again, once they have ended, and are told thereby; None before, and for none.
+        """The times that came again, once they have ended, and are reported thereby; None before, and for none.
 
         Those that go on for longer than a jump back can last are of two sources.
         """

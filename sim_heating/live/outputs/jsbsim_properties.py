@@ -41,7 +41,7 @@ PROMPT = b"JSBSim> "
 DONE = ("", "set successful")
 """Answers to a value that was set, of earlier versions and of 1.3.3."""
 ANSWER_S, RETRY_S, LEAVE_S = 5.0, 1.0, 2.0
-"""Times [s]: without an answer until it is told, between attempts to connect, to take leave."""
+"""Times [s]: without an answer until it is reported, between attempts to connect, to take leave."""
 
 
 class JSBSimProperties:

@@ -11,7 +11,7 @@ disk every `fsync_s` seconds by a thread of its own, so that a machine that lose
 the disk is full, entries wait in memory and are written in order when there is room again.
 
 Where an entry is damaged or cut off, reading goes on at the next place where length, source and CRC are those of an
-entry, and what lies between is told (`Skipped`). A link that goes on from a damaged journal keeps the damaged file
+entry, and what lies between is reported (`Skipped`). A link that goes on from a damaged journal keeps the damaged file
 aside and goes on in one of the sound entries.
 """
 
@@ -57,7 +57,7 @@ MOST_SOURCES = 256
 WINDOW = 1 << 20
 """Bytes that are searched at a time for the next sound entry."""
 MOST_TOLD = 10
-"""Damaged stretches that are told one by one."""
+"""Damaged stretches that are reported one by one."""
 KEPT = 1 << 28
 """Bytes that wait in memory while the disk is full; beyond, the oldest that wait are dropped, and counted."""
 RETRY_S = 1.0
@@ -79,7 +79,7 @@ class Entry:
 class Skipped:
     """A stretch of a journal that holds no sound entry.
 
-    begin, end : its bytes;  behind : number of messages before it;  messages : in it, None where that cannot be told
+    begin, end : its bytes;  behind : number of messages before it;  messages : in it, None where that cannot be known
     is_last    : whether the file ends with it, as where the last message was cut off
     """
 
@@ -355,7 +355,7 @@ def require_usable(
 
 
 def _is_empty(head: JournalHead) -> bool:
-    """Whether nothing came, and nothing ended: such a journal is begun anew."""
+    """Whether nothing came, and nothing ended: such a journal is begun again."""
     return head.entries == 0 and not head.skipped and not head.is_closed
 
 

@@ -26,7 +26,7 @@ def live_page(engine: LinkEngine, state: State, credibility: Mapping[str, Any] |
     """The report of a link.
 
     engine      : that followed it, with what it kept;  state : the last one
-    credibility : what supports the estimates, as live.json has it; None where it could not be told
+    credibility : what supports the estimates, as live.json has it; None where it could not be stated
     """
     warnings = [removal.text for removal in state.removed]
     remarks = [line for line in engine.remarks.lines() if line not in warnings]

@@ -60,7 +60,7 @@ class Arrivals:
         self._has_told_absent = False
 
     def samples(self, message: Message) -> list[Sample]:
-        """Samples of a message; none of a damaged one, which is told."""
+        """Samples of a message; none of a damaged one, which is reported."""
         self.counts["messages"] += 1
         if not message.values and not message.damaged:  # labels
             return []

@@ -11,8 +11,8 @@ are gathered; where a later time comes first, the columns that are absent have t
 
 A column without an entry in the link is the field of its own name, else the one field that is it by its name and unit;
 `Time` of JSBSim's own output is in s.
-One that does not come within the first seconds is derived from those that do, as in files, and that is told. What is
-sent is never replaced: where the field comes after all, it is used from then on.
+One that does not come within the first seconds is derived from those that do, as in files, and that is reported. What
+is sent is never replaced: where the field comes after all, it is used from then on.
 """
 
 from __future__ import annotations

@@ -133,7 +133,7 @@ class SensorChecks:
             del self.undecided[key]
 
     def take_out(self, failure: Failure) -> None:
-        """Enter the failure of a sensor, such as one that is told elsewhere; it is checked no more."""
+        """Enter the failure of a sensor, such as one that is reported elsewhere; it is checked no more."""
         self._failed.add((failure.point, failure.sensor))
         self.undecided.pop((failure.point, failure.sensor), None)
         self.failures.append(failure)

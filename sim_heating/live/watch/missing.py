@@ -103,7 +103,7 @@ class Weighing:
         return True
 
     def poll(self) -> Weighed | None:
-        """What was found, once after it was; None otherwise, and where the process died: `start` begins anew."""
+        """What was found, once after it was; None otherwise, and where the process died: `start` begins again."""
         if self._running is None or not self._running.done():
             return None
         running, self._running = self._running, None

@@ -163,7 +163,7 @@ def _by_time(block: Block, times: Mapping[int, Sequence[float]]) -> tuple[tuple[
 def _joined(segments: Sequence[Segment]) -> Block:
     """Segments one below the other, with times counted from the first.
 
-    X values that begin anew count from the date and time of their segment, those that go on from those of the first.
+    X values that begin again count from the date and time of their segment, those that go on from those of the first.
 
     raises : InputError, one line with the option that chooses a segment, where neither fits or the channels differ
     """

@@ -25,6 +25,8 @@ OPEN = (*_FULL_SCALES, *_NINES)
 """Readings of a converter whose input is open or at the end of its range, and rows of nines of loggers."""
 DROPPED = (0.0, 85.0)
 """Readings of a converter that gave none, which may as well be true ones."""
+POWER_ON = 85.0
+"""The first readings of a converter that has measured nothing yet."""
 SIGMAS, LEAST, SMALLEST = 12.0, 3.0, 1.0
 """Distance from which a reading is far off: in robust scales, in spans of its neighbours, and in the file's unit."""
 SIDE = 3
@@ -43,7 +45,7 @@ def fault_codes(values: FloatArray) -> BoolArray:
     """(row,) whether a reading is the code of a converter in fault: one of its values, far off the readings around it.
 
     A run of a code is compared with the readings on both sides; one at an end, of an open input alone, with that of one
-    side.
+    side. The value at power on may also come first, where the readings behind it are lower and do not fall on.
     """
     is_fault = np.zeros(len(values), dtype=bool)
     for code in (*OPEN, *DROPPED):
@@ -56,12 +58,21 @@ def fault_codes(values: FloatArray) -> BoolArray:
         for i in np.flatnonzero(is_code):
             k = int(np.searchsorted(others, i))
             sides = [values[others[j]] for j in (k - 1, k) if 0 <= j < len(others)]
-            if len(sides) < 2 and code in DROPPED:
+            if (
+                len(sides) < 2
+                and code in DROPPED
+                and not (code == POWER_ON and k == 0 and _rises(values[others], code))
+            ):
                 continue
             apart = abs(sides[0] - sides[-1])
-            scale = moving if len(sides) < 2 else min(moving, steady / math.sqrt(3.0))
+            scale = moving if len(sides) < 2 and code in OPEN else min(moving, steady / math.sqrt(3.0))
             is_fault[i] = min(abs(x - code) for x in sides) > max(SIGMAS * scale, LEAST * apart, 10.0 * SMALLEST)
     return is_fault
+
+
+def _rises(values: FloatArray, code: float) -> bool:
+    """Whether readings begin below a code and rise."""
+    return bool(values[0] < code and values[1] > values[0])
 
 
 def far_off(values: FloatArray) -> BoolArray:

@@ -35,7 +35,7 @@ def rows() -> list[Row]:
     found = []
     for name, (span_s, low_K, high_K) in READ.items():
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # lost codes and units that are assumed are told
+            warnings.simplefilter("ignore")  # lost codes and units that are assumed are reported
             read = read_measured_csv(LOGGERS / name)
         t, T = read.of_kind(TIME)[0].si, read.of_kind(TEMPERATURE)[0].si
         values = (

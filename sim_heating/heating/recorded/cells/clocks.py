@@ -56,6 +56,10 @@ OFFSET = r"(?: ?(?P<zone>[A-Za-z]{1,4})?(?P<offset>[+\u2212-]\d{2}(?::?\d{2})?)?
 STAMP = re.compile(
     rf"'?(?:[A-Za-z]{{2,9}},? +)?{DATE}(?:(?:[T_-]|,? +|(?<=\d{{3}}):)(?:{TIME}|{BASIC_TIME}){HALF}{OFFSET})?"
 )
+DOTTED = re.compile(r"(\d{1,2})\.(\d{2})(\.\d{2})?(?:,\d+)?")
+"""Time of day with points in place of colons, or a number, or a date."""
+AFTER_DATE = re.compile(r"(?<=\d[ T])(\d{1,2})\.(\d{2})\.(\d{2})(?![.\d])")
+"""Time of day with points behind a date."""
 OF_DAY = re.compile(rf"'?{TIME}{HALF}{OFFSET}")
 CTIME = re.compile(r"([A-Za-z]{3}) +(\d{1,2}) (\d{1,2}:\d{2}:\d{2}) (\d{4})$")
 """The end of a stamp with the year last, `Mon May 13 10:45:00 2024`."""
@@ -90,11 +94,14 @@ def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit
     """
     # blanks of no break stand before `a.m.` in stamps of spreadsheets
     written = (cell.replace("\u00a0", " ").replace("\u202f", " ") for cell in cells)
-    series = pd.Series([CTIME.sub(r"\1 \2 \4 \3", cell) for cell in written], dtype=object)
+    cells = [AFTER_DATE.sub(r"\1:\2:\3", CTIME.sub(r"\1 \2 \4 \3", cell)) for cell in written]
+    series = pd.Series(cells, dtype=object)
     full = series != ""
     if not full.any():
         return None
     joined = series[full]
+    if _are_dotted(joined):
+        series = pd.Series(with_colons(list(series), "hh:mm:ss"), dtype=object)
     if joined.map(lambda c: ALL_BASIC.fullmatch(c) is not None).all():
         series = series.map(lambda c: f"{c[:8]}T{c[8:]}" if c else c)
     for pattern in (STAMP, OF_DAY):
@@ -107,6 +114,15 @@ def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit
             }
             return _clock(_Cells(groups, np.flatnonzero(np.asarray(hit)), series, location), dates, unit)
     return None
+
+
+def _are_dotted(cells: pd.Series) -> bool:
+    """Whether cells are times of day with points for colons: three numbers that are dates in no order."""
+    matches = [DOTTED.fullmatch(cell) for cell in cells]
+    if not all(match and match[3] for match in matches):
+        return False
+    first, second = (max(int(match[k]) for match in matches if match) for k in (1, 2))
+    return first < 24 and second < 60 and second > (31 if first <= 12 else 12)
 
 
 class _Cells(NamedTuple):
@@ -393,8 +409,11 @@ def _checked(day: FloatArray, cells: _Cells) -> FloatArray:
     return day
 
 
-def with_colons(cells: Sequence[str]) -> list[str]:
-    """Times of day as hhmmss, such as 94502 or 104500.5, with their colons; other cells as they are."""
+def with_colons(cells: Sequence[str], layout: str) -> list[str]:
+    """Times of day with their colons: of hhmmss, such as 94502 or 104500.5, or of another layout with points, such as
+    10.45. Other cells stay as they are."""
+    if layout != "hhmmss":
+        return [cell.replace(".", ":") if DOTTED.fullmatch(cell) else cell for cell in cells]
     written = []
     for cell in cells:
         match = re.fullmatch(r"(\d{1,6})([.,]\d+)?", cell)
@@ -403,17 +422,22 @@ def with_colons(cells: Sequence[str]) -> list[str]:
     return written
 
 
-def may_be_hhmmss(values: FloatArray) -> bool:
-    """Whether numbers may be times of day as hhmmss: all are such times, and seconds stop at 59 where steps go on."""
-    minutes, seconds = values // 100.0 % 100.0, values % 100.0
-    if (
-        not np.all((values >= 0.0) & (values < 240000.0) & (minutes < 60.0) & (seconds < 60.0))
-        or values.max() < 10000.0
-    ):
-        return False
-    read = np.diff(3600.0 * (values // 10000.0) + 60.0 * minutes + seconds)
-    steps = np.diff(values)
-    return bool(np.any(steps != read) and np.ptp(read) < np.ptp(steps))
+def possible_clock(values: FloatArray) -> str:
+    """Layout of times of day, hhmmss or hh:mm, that numbers may be: all are such times, and their last two digits stop
+    at 59 where steps go on. Empty where there is none."""
+    for layout, whole in (("hhmmss", values), ("hh:mm", 100.0 * values)):
+        whole = np.round(whole, 6)
+        hours, minutes, last = whole // 10000.0, whole // 100.0 % 100.0, whole % 100.0
+        if layout == "hh:mm":
+            hours, minutes = np.zeros(len(whole)), whole // 100.0
+            are_times = np.all((whole >= 0.0) & (whole < 2400.0) & (last < 60.0) & (last % 1.0 == 0.0))
+        else:
+            are_times = np.all((whole >= 0.0) & (whole < 240000.0) & (minutes < 60.0) & (last < 60.0))
+            are_times = are_times and whole.max() >= 10000.0
+        read, steps = np.diff(3600.0 * hours + 60.0 * minutes + last), np.diff(whole)
+        if are_times and np.any(steps != read) and np.ptp(read) < np.ptp(steps):
+            return layout
+    return ""
 
 
 def over_midnight(seconds: FloatArray) -> tuple[FloatArray, int]:

@@ -33,6 +33,8 @@ CLOCK_CELL = re.compile(
     r"|\d{1,2}\.? [^\W\d]{3,9}\.? \d{4}.*|[A-Za-z]{3,9} +\d{1,2}(?:,? \d{4}| \d{1,2}:\d{2}:).*)"
 )
 """What may be a date or a time of day."""
+DOTTED_STAMP = re.compile(r"\d{1,4}\.\d{1,2}\.\d{1,4}[ T]\d{1,2}\.\d{2}\.\d{2}")
+"""Date and time of day, with points in both."""
 SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
 """Several numbers in one cell."""
 FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
@@ -237,7 +239,7 @@ def is_number(cell: str) -> bool:
 
 def is_clock(cell: str) -> bool:
     """Whether a cell may hold a date or a time of day."""
-    return CLOCK_CELL.fullmatch(cell) is not None and SEVERAL.fullmatch(cell) is None
+    return CLOCK_CELL.fullmatch(cell) is not None and not (SEVERAL.fullmatch(cell) and not DOTTED_STAMP.match(cell))
 
 
 def _is_data(cells: Sequence[str]) -> bool:
@@ -255,7 +257,7 @@ def rows_block(
     recorder: str = "",
     lines: dict[int, str] | None = None,
 ) -> Block:
-    """The block of rows of cells, in which names, units, data and trailer are yet to be told apart.
+    """The block of rows of cells, in which names, units, data and trailer are yet to be distinguished.
 
     split  : line and cells of each row that is not blank
     lines  : texts of the lines; None for a sheet
