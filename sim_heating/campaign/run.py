@@ -27,11 +27,14 @@ from typing import Any
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import RunError
 from sim_heating.base.files import (
+    display_path,
     exclusive,
     output_directory,
+    raise_problems,
     require_writable,
     results_digest,
     settle_below,
+    suggestion,
     write_json,
     write_text_atomic,
 )
@@ -128,7 +131,8 @@ def run_campaign(
     workers   : number of local processes; None for one a core
     progress  : called with the fraction done and a line of text
     returns   : the flights, what was found in them, the fits and the revised tables
-    raises    : InputError where an input or the directory cannot be used, RunError where no flight could be flown
+    raises    : InputError where an input or the directory cannot be used, or a [[fit_of]] means no fit; RunError where
+                no flight could be flown
     """
     campaign, out = load_campaign(campaign), Path(out)
     engine = Engine(out, scheduler, workers)
@@ -136,6 +140,7 @@ def run_campaign(
         require_writable(out, COMMAND, expected=FILES, inputs=campaign.files)
         flights, checks = _flights(campaign, engine, _stage(progress, "flights"))
         groups = groups_of(flights, campaign.declared.joint.speed_tolerance)
+        raise_problems(_idle_settings(campaign, flights) if groups else [])
         result = CampaignResult(campaign, out, tuple(flights), frozenset(checks), tuple(groups))
         if not groups:
             result.omitted.append(NO_MANOEUVRE)
@@ -188,6 +193,25 @@ def _flights(campaign: Campaign, engine: Engine, progress: Progress) -> tuple[li
         flights += read
         checks += [f.name for f in read if source.check]
     return flights, checks
+
+
+def _idle_settings(campaign: Campaign, flights: Sequence[CampaignFlight]) -> list[str]:
+    """A line for each [[fit_of]] that means no fit."""
+    fits = [(f.name, point, m.name) for f in flights for point in f.records for m in f.manoeuvres]
+    names = (sorted(set(column)) for column in zip(*fits, strict=True))
+    known = dict(zip(("flight", "control_point", "manoeuvre"), names, strict=True))
+    lines = []
+    for i, settings in enumerate(campaign.declared.fit_of, start=1):
+        if any(settings.selects(*fit) for fit in fits):
+            continue
+        stated = {key: getattr(settings, key) for key in known}
+        reasons = [
+            f"`{key}`: there is no {name}{suggestion(name, known[key])}"
+            for key, name in stated.items()
+            if name is not None and name not in known[key]
+        ] or [f"{', '.join(f'`{key}`' for key, name in stated.items() if name is not None)}: no fit has them together"]
+        lines += [f"{display_path(campaign.path)}, [[fit_of]] {i}: {reason}" for reason in reasons]
+    return lines
 
 
 def _is_selected(campaign: Campaign, record: Record) -> bool:

@@ -19,7 +19,7 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels import block as k
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.elementary import LN_10, exp, log10
-from sim_heating.base.kernels.jit import inline_always, njit
+from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 from sim_heating.base.kernels.lag import lag_step
 from sim_heating.base.kernels.operations import call_dispatcher
 from sim_heating.heating.atmosphere import SEA_LEVEL_PA
@@ -38,7 +38,7 @@ PRESSURE = VARIABLES
 """Index of the pressure axis among the table cells that a lane caches; the ratio table's own axes come before it."""
 
 
-@njit
+@force_inline
 def ratio_with_effects(
     B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, r: float, wall_K: float, first: int, end: int
 ) -> float:
@@ -230,7 +230,8 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
     B, J  : block of the lane group and its integers; rows R_BASE [-], FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2]
             of the stage are written, NEGATIVE counts the end-of-step ratios below 0
     table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
-    Used alone for perturbed lanes, whose pressure is that of their nominal lane.
+    Used alone for perturbed lanes, whose pressure is that of their nominal lane. FILM of stage 1 is without effects
+    that depend on the wall temperature, but in a group with gaps.
     Source: docs/theory/equations.md, equations 5 to 8 and 6b, film = r h_ref.
     """
     table_ratios(B, J, table, stage)
@@ -244,7 +245,9 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
             r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, 0, first)
             # Effects that depend on the wall temperature are evaluated again, from here, at every Newton iterate.
             B[(k.R_BASE + stage) * LANES + lane] = r
-            r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, J[k.N_EFFECTS + lane])
+            # Of the middle of a step only gaps read the film with them: the surface evaluates them itself.
+            if stage != 1 or J[k.GAPS] == 1:
+                r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, J[k.N_EFFECTS + lane])
             H_r += _recovery_rise(B, J, lane, c, p)
             _keep_past_onset(B, J, lane, stage, c, p)
         film, factor, upstream = r * B[c + k.H_REF], 1.0, B[c + k.UPSTREAM]

@@ -70,22 +70,21 @@ def set_flight_conditions(B: FloatArray, flights: Flights, k: int) -> None:
 def set_conditions(B: FloatArray, vectors: FloatArray, first: int, fraction: float) -> None:
     """Move the conditions at the end of a frame part of the way to new ones: c <- c + share (c_then - c).
 
-    B        : block of a lane group, changed
+    B        : pointer to the block of a lane group, which changes
     vectors  : (row, condition) new flight conditions, in the units of their columns
     first    : row of the group's first lane
     fraction : part of the way [-]; from 1 on the new conditions are set exactly, without rounding
 
     Derived in docs/theory/equations_march.md, equation 3.
     """
-    for lane in range(LANES):
-        at = END_STAGE + lane * N_CONDITIONS
-        # c + 1 (then - c) need not be `then` in floating point; a host must find the conditions that it set.
-        if fraction >= 1.0:
-            for c in range(N_CONDITIONS):
-                B[at + c] = vectors[first + lane, c]
-        else:
-            for c in range(N_CONDITIONS):
-                B[at + c] += fraction * (vectors[first + lane, c] - B[at + c])
+    then, span = pointer(vectors[first : first + LANES]), LANES * N_CONDITIONS
+    # c + 1 (then - c) need not be `then` in floating point; a host must find the conditions that it set.
+    if fraction >= 1.0:
+        for k in range(span):
+            B[END_STAGE + k] = then[k]
+    else:
+        for k in range(span):
+            B[END_STAGE + k] += fraction * (then[k] - B[END_STAGE + k])
 
 
 @njit
@@ -103,7 +102,7 @@ def begin_groups(
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
         b, j, t = pointer(B), pointer(ints[groups[g, INTS_START] : groups[g, INTS_END]]), pointer(table)
-        set_conditions(B, now, g * LANES, 1.0)
+        set_conditions(b, now, g * LANES, 1.0)
         call_step(advance, b, j, t, dispatcher, EVALUATE_START)
 
 
@@ -133,7 +132,7 @@ def advance_groups(
         b, j, t = pointer(B), pointer(ints[groups[g, INTS_START] : groups[g, INTS_END]]), pointer(table)
         for s in range(steps):
             shift_conditions(b)
-            set_conditions(B, then, g * LANES, 1.0 / (steps - s))
+            set_conditions(b, then, g * LANES, 1.0 / (steps - s))
             call_step(advance, b, j, t, dispatcher, dt / steps)
 
 

@@ -378,6 +378,18 @@ def test_futures_begin_as_often_as_the_link_states(every_s: float, again: bool) 
     assert engine.ahead.due(latest + 30.0) == again
 
 
+@pytest.mark.parametrize("horizon_s", [20.0, 45.0])
+def test_futures_end_at_the_horizon_of_the_link(horizon_s: float) -> None:
+    one = {"parameters": ["ratio.scale"], "start": "declared"}
+    engine = LinkEngine(link(ahead={"horizon_s": horizon_s}, estimate=one))
+    for k in range(3):
+        row = {**FRAME, "time_s": float(k)}
+        engine.take(Message(0.0, json_lines([row]), row))
+        engine.advance()
+    time_s = engine.state().points[POINT].ahead["held"].time_s
+    assert time_s[-1] - time_s[0] == horizon_s
+
+
 def test_scenario_that_cannot_be_flown_leaves_held_conditions_and_a_remark() -> None:
     made = link(ahead={"scenario": "../popu_mach20.toml"})
     assert made.scenario is not None

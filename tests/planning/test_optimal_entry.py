@@ -224,6 +224,13 @@ def glide(**changes):
     return study_of(initial=initial, duration_s=[50.0, 600.0], intervals=10, **changes)
 
 
+def test_limits_of_a_study_take_the_place_of_those_of_its_vehicle():
+    study = study_of(flight_limits={"dynamic_pressure_Pa": 5000.0})
+    of_vehicle = study.vehicle.declared.flight_limits
+    assert study.flight_limits.dynamic_pressure_Pa == 5000.0 != of_vehicle.dynamic_pressure_Pa
+    assert study.flight_limits.normal_load_g == of_vehicle.normal_load_g
+
+
 @pytest.mark.thorough
 def test_a_mesh_that_cannot_be_refined_further_ends_the_search_with_a_note():
     asked, entry = fly_optimal(glide(mesh_tolerance=1e-4)), fly_optimal(glide(mesh_tolerance=1e-15))

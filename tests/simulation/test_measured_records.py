@@ -49,6 +49,13 @@ def test_clock_of_a_record_is_shifted_and_stretched_against_its_flight() -> None
     np.testing.assert_array_equal(shifted.conditions["log10_re"], here.conditions["log10_re"])
 
 
+@pytest.mark.parametrize("time_s", [None, 40.0])
+def test_errors_of_a_record_change_over_the_time_its_history_states(time_s: float | None) -> None:
+    history = replace(scenario().compare[0], noise_correlation_s=time_s)
+    (record,) = compared_records(replace(scenario(), compare=(history,))).values()
+    assert [sensor.noise_correlation_s for sensor in record.used_sensors] == [time_s]
+
+
 def test_scenario_that_compares_with_nothing_makes_no_record() -> None:
     with pytest.raises(InputError, match="compares with no measured history"):
         compared_records(replace(scenario(), compare=()))

@@ -16,10 +16,13 @@ VALUES: dict[str, list[Any]] = {
     "ReferenceHeating.wall_enthalpy": [{"cp_J_kgK": 1004.5}],
     "Envelope.boundary": [[{"name": "other", "along": "drag_factor", "at": [1.0], "across": "alpha_offset_deg",
                             "values": [-8.0, 0.0]}]],
-    "FitSettings.start": ["circuit", "circuit:10"],
+    "FitSettings.start": ["circuit:60"],
     "ParameterSettings.parameters": [["ratio.scale", "stack.coating.thickness_factor", "clock.skew"]],
     "Replay.record": ["second/record"],
     "Dispersion.step_s": [1.0, 0.25],
+    "CampaignFile.flight": [[{"scenario": "entry.toml", "seeds": [12]}]],
+    "Envelope.bodyflap_above_mach": [30.0],
+    "Joint.speed_tolerance": [0.001],
     "Design.after_s": [5.0],
     "Design.parameters": [["ratio.d_elevon"], ["ratio.d_logre"]],
     "DesignLimits.alpha_deg": [[36.0, 41.0]],
@@ -33,7 +36,8 @@ REFUSES: dict[str, str] = {
     "Design.control_point": "no control point",
     "DeclaredEffect.name": "unknown effect", "FileBase.file": "no such file", "Mass.cg_range": "cg_fraction",
     "ScenarioEffect.name": "unknown effect", "ScenarioFile.vehicle": "unknown vehicle",
-    "SensorFault.sensor": "unknown sensor", "SensorField.control_point": "`sensor`",
+    "SelectedFit.control_point": "there is no", "SensorFault.sensor": "unknown sensor",
+    "SensorField.control_point": "`sensor`",
     "StudyFile.revision": "the study needs", "DesignVariable.manoeuvre": "there is no manoeuvre",
 }  # fmt: skip
 """Keys that name something else, or limit it: what the refusal of another value says where it does not name the key."""
@@ -52,12 +56,14 @@ _SHOWN = {
     "tests/live/test_outputs.py": "JSBSimInput.host OutputSettings.host OutputSettings.metrics OutputSettings.page "
     "OutputSettings.port OutputSettings.lines",
     "tests/live/test_ahead.py": "AheadSettings.every_s AheadSettings.keep AheadSettings.scenario LinkFile.ahead "
-    "AheadSettings.heating_error",
+    "AheadSettings.heating_error AheadSettings.horizon_s",
     "tests/live/test_engine.py": "OutputSettings.rate_Hz",
+    "tests/simulation/test_measured_records.py": "Compare.noise_correlation_s",
     "tests/live/test_live_command.py": "EstimateSettings.jump_s",
     "tests/live/test_journal.py": "JournalSettings.fsync_s LinkFile.journal",
     "tests/planning/test_optimal_entry.py": (
         "OptimalStudyFile.alpha_limits_deg OptimalStudyFile.bank_limits_deg OptimalStudyFile.duration_s "
+        "OptimalStudyFile.flight_limits "
         "OptimalStudyFile.end OptimalStudyFile.initial OptimalStudyFile.intervals OptimalStudyFile.limit "
         "OptimalStudyFile.soak_s "
         "OptimalStudyFile.mesh_tolerance OptimalStudyFile.probability OptimalStudyFile.state "
@@ -67,7 +73,7 @@ _SHOWN = {
     "tests/credibility/test_statement.py": (
         "Review.date Review.factor Review.level Review.person Review.reviewed Review.statement ReviewFile.review"
     ),
-    "tests/campaign/test_campaign.py": "FlightSource.records",
+    "tests/campaign/test_campaign.py": "FlightSource.records CampaignFile.ageing",
     "tests/templates/test_loggers.py": (
         "LayoutColumn.depth LayoutColumn.kind LayoutColumn.name LayoutColumn.unit LoggerLayout.column "
         "LoggerLayout.dates LoggerLayout.decimal LoggerLayout.flux_unit LoggerLayout.lost "
