@@ -455,8 +455,9 @@ def test_predict_reports_a_negative_heating_ratio(record: Path, workdir: Path) -
     comments = [x for x in lines if x[0] == "#"]
     header, *rows = [x for x in lines if x[0] != "#"]
     assert header.endswith(",ratio,sigma")
-    negative = [",".join([*row.split(",")[:-2], "-0.0001", "0.0001"]) for row in rows]
-    (record / "ratio_table.csv").write_text("\n".join([*comments, header, *negative]))
+    # all but one node: a table that is negative throughout is refused
+    negative = [",".join([*row.split(",")[:-2], "-0.0001", "0.0001"]) for row in rows[:-1]]
+    (record / "ratio_table.csv").write_text("\n".join([*comments, header, *negative, rows[-1]]))
     assert main(["predict", "record", "--out", "out"]) == 0
     assert json.loads((workdir / "out" / "summary.json").read_text())["negative_ratio_s"] > 50.0
 
