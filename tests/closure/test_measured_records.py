@@ -249,7 +249,6 @@ def test_an_effect_of_a_record_with_a_late_clock_is_known_to_the_last_reading():
 
 def cause_that_predicts_worse(none, lost):
     """A fit that makes the readings held out less likely by some nats than the declared model of a record does."""
-    scale = max(1.0, none.last.held_out_chi2)
     step = np.eye(len(none.last.fit.values))[none.last.fit.names.index("ratio.scale")] * 0.002
 
     def shifted(by):
@@ -258,7 +257,7 @@ def cause_that_predicts_worse(none, lost):
         return replace(last, name="catalysis", fit=fit)
 
     def loss(by):
-        return (none.last.held_out_log_likelihood - shifted(by).held_out_log_likelihood) / scale
+        return (none.last.held_out_log_likelihood - shifted(by).held_out_log_likelihood) / none.last.held_out_scale
 
     return hypothesis([shifted(brentq(lambda by: loss(by) - lost, 0.1, 1000.0, xtol=1e-3))], {"catalysis": 1})
 
@@ -271,8 +270,9 @@ def test_readings_held_out_speak_against_a_cause_from_stated_odds_on(stated, odd
     heating = record.declared.heating.model_copy(update={"uncertainty": stated})
     record = replace(record, declared=record.declared.model_copy(update={"heating": heating}))
     none = hypothesis([base_trial(declared_fit(record))], {})
+    as_good = hypothesis([replace(none.last, name="emissivity")], {"emissivity": 1})  # its scatter is what counts
     for worse, is_barred in ((0.9 * odds, False), (1.1 * odds, True)):
-        (judged,) = scored(none, [cause_that_predicts_worse(none, np.log(worse))])
+        _, judged = scored(none, [as_good, cause_that_predicts_worse(none, np.log(worse))])
         assert (NOT_PREDICTED[0] in judged.objections) is is_barred
 
 
