@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.help_examples import failures
 from tests.support.paths import ROOT
 
 INSIDE = ("aircraft_data", "scenarios", "fmu")
@@ -141,9 +140,3 @@ def test_examples_by_name_run_from_the_wheel(installed: dict[str, str], tmp_path
 def test_the_wheel_says_that_it_is_typed(built: dict[str, Path]) -> None:
     with zipfile.ZipFile(built[".whl"]) as wheel:
         assert "sim_heating/py.typed" in wheel.namelist()
-
-
-@pytest.mark.thorough
-def test_examples_of_help_texts_run_from_the_wheel(installed: dict[str, str], tmp_path: Path) -> None:
-    """Of short commands; `.ci/installed` runs those of the others."""
-    assert failures(tmp_path, ("synthesize", "estimate", "validate", "predict"), environment=installed) == []

@@ -17,6 +17,7 @@ from sim_heating.live.spec import Link, make_link
 from sim_heating.live.state import State
 from sim_heating.live.watch.missing import MOST_DEATHS
 from tests.live.links import messages_of, part_of_record
+from tests.support.few_candidates import search_among
 from tests.support.paths import PRACTICE
 
 DIED = "the process that weighs candidates died; the link goes on"
@@ -87,7 +88,9 @@ def test_a_process_that_dies_is_one_remark_and_another_one_weighs(cold, tmp_path
 
 
 @pytest.mark.thorough
-def test_record_grown_since_the_alarm_is_weighed_again(tmp_path):
+def test_record_grown_since_the_alarm_is_weighed_again(tmp_path, monkeypatch):
+    """Among few candidates; when it is weighed does not depend on how many there are."""
+    search_among(monkeypatch, "conductivity", "emissivity")
     record = part_of_record(PRACTICE / "p09", 0.0, 240.0, tmp_path / "longer")
     data = {"format": "link/1", "records": [str(record)], "source": [{"kind": "replay", "speed": 0.0}]}
     made = make_link(data, record.parent / "link.toml")
