@@ -94,7 +94,7 @@ class ClosedLoop:
 
     def plot(self) -> Figure:
         """Measured temperatures, those of the model with the effects found, and the residual below."""
-        return self.fitted.plot()
+        return self.report.after.plot()
 
 
 @one_thread()

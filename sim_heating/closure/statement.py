@@ -242,12 +242,12 @@ def _forms(result: SearchResult) -> list[str]:
 def causes_like_errors(result: SearchResult) -> list[str]:
     """A line for each cause that gains more than the same change of the heating costs as an error of the model, and
     that would be better than the declared model by that."""
-    lines, none = [], result.none.last
+    lines = []
     for h in result.hypotheses:
-        gained, price = (h.last.log_evidence - none.log_evidence) / h.last.scale, h.log_odds_of_jumps
-        if h.admissible and h.score - 2.0 * (gained - price) < -POLICY.min_gain < h.score and gained > price:
+        if h.admissible and h.score - h.held_back < -POLICY.min_gain < h.score:
+            price, gain = h.log_odds_of_jumps, h.log_odds_of_jumps + 0.5 * h.held_back
             lines.append(
-                f"{' + '.join(h.names)} gains {gained:.0f} in log evidence, and the same change of the heating costs "
+                f"{' + '.join(h.names)} gains {gain:.0f} in log evidence, and the same change of the heating costs "
                 f"{price:.0f} as an error of the model that is as large as the rest of it: this record does not "
                 "distinguish them"
             )

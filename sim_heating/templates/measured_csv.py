@@ -50,10 +50,13 @@ from sim_heating.heating.recorded.cells.numbers import (
 from sim_heating.heating.recorded.cells.text import decoded, is_clock, is_number, rows_block, text_block
 from sim_heating.templates.loggers.files import kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import (
+    FLUX,
+    SI_UNITS,
+    TEMPERATURE,
+    TIME,
     LayoutColumn,
     LoggerLayout,
-    reading_unit_problem,
-    time_unit_problem,
+    unit_problem,
 )
 from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
 from sim_heating.templates.loggers.readings import OPEN, far_off, fault_codes, lost_codes
@@ -61,8 +64,8 @@ from sim_heating.templates.loggers.thermocouples import EXAMPLE as THERMOCOUPLE_
 from sim_heating.templates.loggers.thermocouples import EmfColumn, is_emf, temperatures_K
 from sim_heating.templates.quantities import quantity
 
-TIME, TEMPERATURE, FLUX, UNUSED = "time", "temperature", "heat flux", "not used"
-SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
+UNUSED = "not used"
+"""Kind of a column that is none of those of a layout."""
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
     (
@@ -263,7 +266,7 @@ def read_measured_csv(
         "lost": [*base.lost, *lost],
     }
     chosen = base.model_copy(update={key: value for key, value in stated.items() if value is not None})
-    if time_unit is not None and (problem := time_unit_problem(time_unit)):
+    if time_unit is not None and (problem := unit_problem(time_unit, TIME)):
         raise InputError(f"--time-unit {time_unit}: {problem}")
     block = _long_as_wide(_with_unit_column(_block(path, chosen)))
     heads, signs = _heads(block, chosen)
@@ -1066,7 +1069,7 @@ def _with_stated_unit(path: Path, column: CsvColumn, unit: str, is_declared: boo
     """
     kind, si = column.kind, SI_UNITS[column.kind]
     option = UNIT_OPTIONS[kind].split()[0]
-    if problem := reading_unit_problem(unit, kind):
+    if problem := unit_problem(unit, kind):
         raise InputError(f"{option} {unit}: {problem}")
     if is_declared and column.unit and converted(column.unit, si) != converted(unit, si):
         raise InputError(

@@ -65,6 +65,8 @@ class Hypothesis:
     alone      : score of the explanation that each of several records has by itself, where it is no member; else 0
     shares     : score of each record relative to its declared model; with `common` they add up to the score
     common     : what common parameters, priors and forms add to the score
+    held_back  : what its score lacks of its gain, where that is more than the same change of the heating costs as an
+                 error of the model [BIC]
     """
 
     trials: tuple[TrialFit, ...]
@@ -77,6 +79,7 @@ class Hypothesis:
     alone: tuple[float, ...] = ()
     shares: tuple[float, ...] = ()
     common: float = 0.0
+    held_back: float = 0.0
 
     @property
     def by_record(self) -> tuple[TrialFit, ...]:
@@ -337,14 +340,16 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
             model_bic(t, b, h.model.common_names(t.record_fit.record) if h.model else ())
             for i, (t, b) in enumerate(zip(h.by_record, best.by_record, strict=True))
         ]  # fmt: skip
+        held_back = 0.0
         if not h.each:
             gained = (h.last.log_evidence - none.last.log_evidence) / best.last.scale
-            bic[0] += 2.0 * max(gained - h.log_odds_of_jumps, 0.0)
+            held_back = 2.0 * max(gained - h.log_odds_of_jumps, 0.0)
+        bic[0] += held_back
         shares = [b - z if i in h.members else h.alone[i] for i, (b, z) in enumerate(zip(bic, zero, strict=True))]
         penalties, against = h.penalties, dict.fromkeys((*h.objections, *_not_predicted(none, h, scale)))
         return replace(
             h, score=sum(bic) + penalties + h.price - (sum(zero) + none_cost), objections=tuple(against),
-            shares=tuple(shares), common=h.price + penalties - none_cost,
+            shares=tuple(shares), common=h.price + penalties - none_cost, held_back=held_back,
         )  # fmt: skip
 
     return sorted(map(rated, others), key=lambda h: (not h.admissible, h.score))

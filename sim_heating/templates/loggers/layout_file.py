@@ -27,26 +27,25 @@ from sim_heating.base.files.units import converted
 from sim_heating.heating.recorded.cells.clocks import CLOCKS
 
 FORMAT = "logger-layout/1"
-DURATIONS = ("s", "ms", "min", "h", "us")
-SI_UNITS = {"temperature": ("K", "K, degC or degF"), "heat flux": ("W/m2", "W/m2")}
-"""Kind of a reading -> its SI unit, and units that are named."""
+TIME, TEMPERATURE, FLUX = "time", "temperature", "heat flux"
+"""Kinds of columns."""
+SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
+EXAMPLES = {
+    TIME: f"one of {', '.join(('s', 'ms', 'min', 'h', 'us', *CLOCKS))}", TEMPERATURE: "K, degC or degF", FLUX: "W/m2"
+}  # fmt: skip
+"""Kind of a column -> units that a message names."""
+KIND_OF_KEY = {"time_unit": TIME, "temperature_unit": TEMPERATURE, "flux_unit": FLUX}
 
 
-def time_unit_problem(unit: str) -> str:
-    """Why a unit is none of a time or a clock; "" where it is one."""
-    if unit in CLOCKS or converted(unit, "s") is not None:
-        return ""
-    return f"is not a unit of time; give one of {', '.join((*DURATIONS, *CLOCKS))}"
+def unit_problem(unit: str, kind: str) -> str:
+    """Why a unit is none of a kind of column; "" where it is one, or the layout of a clock for a time."""
+    is_clock = kind == TIME and unit in CLOCKS
+    is_known = is_clock or converted(unit, SI_UNITS[kind]) is not None
+    return "" if is_known else f"is not a unit of {kind}; give {EXAMPLES[kind]}"
 
 
-def reading_unit_problem(unit: str, kind: str) -> str:
-    """Why a unit is none of a kind of reading; "" where it is one."""
-    si, named = SI_UNITS[kind]
-    return f"is not a unit of {kind}; give {named}" if converted(unit, si) is None else ""
-
-
-def _checked(unit: str | None, problem: str) -> str | None:
-    if problem:
+def _checked(unit: str | None, kind: str) -> str | None:
+    if unit is not None and (problem := unit_problem(unit, kind)):
         raise ValueError(f"`{unit}` {problem}")
     return unit
 
@@ -65,7 +64,7 @@ class LayoutColumn(Declared):
     @classmethod
     def _is_of_its_kind(cls, unit: str | None, info: ValidationInfo) -> str | None:
         kind = info.data.get("kind")  # absent where it is wrong itself
-        return _checked(unit, reading_unit_problem(unit, kind) if unit and kind else "")
+        return _checked(unit, kind) if unit and kind else unit
 
 
 class LoggerLayout(Declared):
@@ -105,11 +104,7 @@ class LoggerLayout(Declared):
     @field_validator("time_unit", "temperature_unit", "flux_unit")
     @classmethod
     def _is_known(cls, unit: str | None, info: ValidationInfo) -> str | None:
-        if unit is None or info.field_name == "time_unit":
-            return _checked(unit, time_unit_problem(unit) if unit is not None else "")
-        return _checked(
-            unit, reading_unit_problem(unit, "heat flux" if info.field_name == "flux_unit" else "temperature")
-        )
+        return _checked(unit, KIND_OF_KEY[str(info.field_name)])
 
 
 def read_layout(path: Path) -> LoggerLayout:

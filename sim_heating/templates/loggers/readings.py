@@ -23,10 +23,10 @@ _NINES = (999.0, 999.9, 9999.0, 9999.9, 99999.0)
 _FULL_SCALES = (2048.0, 2047.0, 2047.75, 2047.9375, 1372.0, 1370.0, 32767.0, -32768.0, 65535.0, 6553.5, 3276.7, -127.0)
 OPEN = (*_FULL_SCALES, *_NINES)
 """Readings of a converter whose input is open or at the end of its range, and rows of nines of loggers."""
-DROPPED = (0.0, 85.0)
-"""Readings of a converter that gave none, which may as well be true ones."""
 POWER_ON = 85.0
 """The first readings of a converter that has measured nothing yet."""
+DROPPED = (0.0, POWER_ON)
+"""Readings of a converter that gave none, which may as well be true ones."""
 SIGMAS, LEAST, SMALLEST = 12.0, 3.0, 1.0
 """Distance from which a reading is far off: in robust scales, in spans of its neighbours, and in the file's unit."""
 SIDE = 3
@@ -58,21 +58,14 @@ def fault_codes(values: FloatArray) -> BoolArray:
         for i in np.flatnonzero(is_code):
             k = int(np.searchsorted(others, i))
             sides = [values[others[j]] for j in (k - 1, k) if 0 <= j < len(others)]
-            if (
-                len(sides) < 2
-                and code in DROPPED
-                and not (code == POWER_ON and k == 0 and _rises(values[others], code))
-            ):
+            first, second = values[others[:2]]
+            is_at_power_on = code == POWER_ON and k == 0 and first < min(code, second)
+            if len(sides) < 2 and code in DROPPED and not is_at_power_on:
                 continue
             apart = abs(sides[0] - sides[-1])
             scale = moving if len(sides) < 2 and code in OPEN else min(moving, steady / math.sqrt(3.0))
             is_fault[i] = min(abs(x - code) for x in sides) > max(SIGMAS * scale, LEAST * apart, 10.0 * SMALLEST)
     return is_fault
-
-
-def _rises(values: FloatArray, code: float) -> bool:
-    """Whether readings begin below a code and rise."""
-    return bool(values[0] < code and values[1] > values[0])
 
 
 def far_off(values: FloatArray) -> BoolArray:

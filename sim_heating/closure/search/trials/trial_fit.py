@@ -211,7 +211,8 @@ class TrialFit:
 
     @cached_property
     def held_out_scale(self) -> float:
-        """The same of the samples held out, where these may be off by more [-]."""
+        """By how much a difference in log likelihood of the samples held out counts less: as of the fitted ones with an
+        error of the model, and by their own reduced chi-square where that is more [-]."""
         return max(1.0 if self.record_fit.model_error is None else self.scale, self.held_out_chi2)
 
     @cached_property

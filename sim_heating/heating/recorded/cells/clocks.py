@@ -16,6 +16,7 @@ import pandas as pd
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
+from sim_heating.heating.recorded.cells.text import DOTTED_AFTER_DATE
 
 DAY_S = 86400.0
 ORDERS = {"day-first": "day first", "month-first": "month first", "year-first": "year first"}
@@ -58,8 +59,6 @@ STAMP = re.compile(
 )
 DOTTED = re.compile(r"(\d{1,2})\.(\d{2})(\.\d{2})?(?:,\d+)?")
 """Time of day with points in place of colons, or a number, or a date."""
-AFTER_DATE = re.compile(r"(?<=\d[ T])(\d{1,2})\.(\d{2})\.(\d{2})(?![.\d])")
-"""Time of day with points behind a date."""
 OF_DAY = re.compile(rf"'?{TIME}{HALF}{OFFSET}")
 CTIME = re.compile(r"([A-Za-z]{3}) +(\d{1,2}) (\d{1,2}:\d{2}:\d{2}) (\d{4})$")
 """The end of a stamp with the year last, `Mon May 13 10:45:00 2024`."""
@@ -94,14 +93,14 @@ def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit
     """
     # blanks of no break stand before `a.m.` in stamps of spreadsheets
     written = (cell.replace("\u00a0", " ").replace("\u202f", " ") for cell in cells)
-    cells = [AFTER_DATE.sub(r"\1:\2:\3", CTIME.sub(r"\1 \2 \4 \3", cell)) for cell in written]
+    cells = [DOTTED_AFTER_DATE.sub(r"\1:\2:\3", CTIME.sub(r"\1 \2 \4 \3", cell)) for cell in written]
     series = pd.Series(cells, dtype=object)
     full = series != ""
     if not full.any():
         return None
     joined = series[full]
     if _are_dotted(joined):
-        series = pd.Series(with_colons(list(series), "hh:mm:ss"), dtype=object)
+        series = series.map(lambda c: c.replace(".", ":"))
     if joined.map(lambda c: ALL_BASIC.fullmatch(c) is not None).all():
         series = series.map(lambda c: f"{c[:8]}T{c[8:]}" if c else c)
     for pattern in (STAMP, OF_DAY):
@@ -425,17 +424,14 @@ def with_colons(cells: Sequence[str], layout: str) -> list[str]:
 def possible_clock(values: FloatArray) -> str:
     """Layout of times of day, hhmmss or hh:mm, that numbers may be: all are such times, and their last two digits stop
     at 59 where steps go on. Empty where there is none."""
-    for layout, whole in (("hhmmss", values), ("hh:mm", 100.0 * values)):
-        whole = np.round(whole, 6)
-        hours, minutes, last = whole // 10000.0, whole // 100.0 % 100.0, whole % 100.0
-        if layout == "hh:mm":
-            hours, minutes = np.zeros(len(whole)), whole // 100.0
-            are_times = np.all((whole >= 0.0) & (whole < 2400.0) & (last < 60.0) & (last % 1.0 == 0.0))
-        else:
-            are_times = np.all((whole >= 0.0) & (whole < 240000.0) & (minutes < 60.0) & (last < 60.0))
-            are_times = are_times and whole.max() >= 10000.0
-        read, steps = np.diff(3600.0 * hours + 60.0 * minutes + last), np.diff(whole)
-        if are_times and np.any(steps != read) and np.ptp(read) < np.ptp(steps):
+    hundredths = np.round(100.0 * values, 6)
+    for layout, numbers, least, end in (("hhmmss", values, 1e4, 24e4), ("hh:mm", hundredths, 0.0, 2400.0)):
+        minutes, last = numbers // 100.0 % 100.0, numbers % 100.0
+        are_times = np.all((numbers >= 0.0) & (numbers < end) & (minutes < 60.0) & (last < 60.0))
+        if not are_times or numbers.max() < least or (layout == "hh:mm" and np.any(last % 1.0)):
+            continue
+        read, steps = np.diff(3600.0 * (numbers // 1e4) + 60.0 * minutes + last), np.diff(numbers)
+        if np.any(steps != read) and np.ptp(read) < np.ptp(steps):
             return layout
     return ""
 

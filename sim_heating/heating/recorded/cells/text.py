@@ -33,8 +33,8 @@ CLOCK_CELL = re.compile(
     r"|\d{1,2}\.? [^\W\d]{3,9}\.? \d{4}.*|[A-Za-z]{3,9} +\d{1,2}(?:,? \d{4}| \d{1,2}:\d{2}:).*)"
 )
 """What may be a date or a time of day."""
-DOTTED_STAMP = re.compile(r"\d{1,4}\.\d{1,2}\.\d{1,4}[ T]\d{1,2}\.\d{2}\.\d{2}")
-"""Date and time of day, with points in both."""
+DOTTED_AFTER_DATE = re.compile(r"(?<=\d[ T])(\d{1,2})\.(\d{2})\.(\d{2})(?![.\d])")
+"""Time of day with points in place of colons, behind a date."""
 SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
 """Several numbers in one cell."""
 FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
@@ -239,7 +239,8 @@ def is_number(cell: str) -> bool:
 
 def is_clock(cell: str) -> bool:
     """Whether a cell may hold a date or a time of day."""
-    return CLOCK_CELL.fullmatch(cell) is not None and not (SEVERAL.fullmatch(cell) and not DOTTED_STAMP.match(cell))
+    has_time = SEVERAL.fullmatch(cell) is None or DOTTED_AFTER_DATE.search(cell) is not None
+    return CLOCK_CELL.fullmatch(cell) is not None and has_time
 
 
 def _is_data(cells: Sequence[str]) -> bool:
