@@ -930,3 +930,10 @@ def test_a_time_of_three_numbers_with_points_is_no_date() -> None:
     assert span_s(read_measured_csv(Path("t.csv"))) == 300.0
     rows("Datum;TC1 (C)", [f"{10 + k}.05.24;{T}" for k, (_, T) in enumerate(DOTTED)])
     assert span_s(read_measured_csv(Path("t.csv"))) == 5 * 86400.0
+
+
+def test_a_time_with_points_that_is_none_is_named_as_the_file_has_it() -> None:
+    for date in ("", "13.05.2024 "):
+        rows("Zeit;TC1 (C)", [f"{date}10.{57 + k}.{99 if k == 2 else 30};{20 + k}" for k in range(3)])
+        with pytest.raises(InputError, match=rf"column Zeit: `{re.escape(date)}10\.59\.99` is no time of day"):
+            read_measured_csv(Path("t.csv"))

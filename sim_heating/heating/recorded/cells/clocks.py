@@ -92,9 +92,9 @@ def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit
     raises   : InputError, one line with a cell and the option that decides, where several layouts fit
     """
     # blanks of no break stand before `a.m.` in stamps of spreadsheets
-    written = (cell.replace("\u00a0", " ").replace("\u202f", " ") for cell in cells)
-    cells = [DOTTED_AFTER_DATE.sub(r"\1:\2:\3", CTIME.sub(r"\1 \2 \4 \3", cell)) for cell in written]
-    series = pd.Series(cells, dtype=object)
+    plain = (cell.replace("\u00a0", " ").replace("\u202f", " ") for cell in cells)
+    written, usual = pd.Series(list(cells), dtype=object), (CTIME.sub(r"\1 \2 \4 \3", cell) for cell in plain)
+    series = pd.Series([DOTTED_AFTER_DATE.sub(r"\1:\2:\3", cell) for cell in usual], dtype=object)
     full = series != ""
     if not full.any():
         return None
@@ -111,7 +111,7 @@ def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit
                 name: [m[name] if m is not None else None for m in matches.where(hit, None)]
                 for name in pattern.groupindex
             }
-            return _clock(_Cells(groups, np.flatnonzero(np.asarray(hit)), series, location), dates, unit)
+            return _clock(_Cells(groups, np.flatnonzero(np.asarray(hit)), written, location), dates, unit)
     return None
 
 
@@ -129,7 +129,7 @@ class _Cells(NamedTuple):
 
     groups   : group of the pattern -> its text in each cell; None where the cell has none
     rows     : those whose cells match
-    texts    : of all cells;  location : `file, column x`, for messages
+    texts    : of all cells, as the file has them;  location : `file, column x`, for messages
     """
 
     groups: dict[str, list[str | None]]
