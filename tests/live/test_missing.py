@@ -54,7 +54,7 @@ def state_when(engine: LinkEngine, shown, within_s: float = 900.0) -> State:
 
 @pytest.mark.thorough
 def test_an_alarm_has_its_candidates_weighed_in_another_process(cold, tmp_path, monkeypatch):
-    """Among a few; tests of close-loop search among all, `python -m benchmarks closure` this record among them."""
+    """Among a few; `python -m benchmarks practice` closes the whole record among all, and lists what is found."""
     weighing_among(monkeypatch, *FEW)
     engine = followed(cold, tmp_path)
     try:
