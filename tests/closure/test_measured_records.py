@@ -16,7 +16,7 @@ from sim_heating.closure.prior.model_error import clock_prior, flight_error, fli
 from sim_heating.closure.report.record import closure_json
 from sim_heating.closure.search.heating_change import heating_change
 from sim_heating.closure.search.hypothesis import NOT_PREDICTED, adequacy_of, fitted_anew, hypothesis, scored
-from sim_heating.closure.search.joint_search import with_common_flights
+from sim_heating.closure.search.joint_search import search_jointly, with_common_flights
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.simulated_records import jumping_errors, slow_errors, with_simulated_p_value
 from sim_heating.closure.search.trials.candidates import candidates
@@ -84,6 +84,16 @@ def test_transition_is_found_on_a_measured_tile():
     # nothing was counted on such records yet, so that no probability is stated
     assert contents["probability"] is None
     assert contents["samples"] == {"fit": 166, "holdout": 24, "left_out": {}}
+
+
+@pytest.mark.thorough
+def test_two_measured_tiles_have_a_transition_in_common():
+    alone = [searched_among(load_record(RECORDS / name), ("transition",)) for name in ("sts96_480", "sts96_597")]
+    found = search_jointly(alone)
+    assert found.best.names == ("transition",)
+    assert found.best.members == (0, 1)
+    assert found.best.score < -POLICY.min_gain
+    assert all(e.for_cause > POLICY.min_gain for e in found.evidence)
 
 
 @pytest.mark.thorough

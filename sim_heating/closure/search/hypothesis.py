@@ -332,7 +332,7 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     admissible = [h for h in others if h.admissible]
     best = max(admissible, key=lambda h: h.log_likelihood, default=none)
     zero = [model_bic(t, b) for t, b in zip(none.by_record, best.by_record, strict=True)]
-    none_cost, scale = none.penalties + none.price, best.last.held_out_scale
+    none_cost = none.penalties + none.price
 
     def rated(h: Hypothesis) -> Hypothesis:
         bic = [
@@ -346,7 +346,7 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
             held_back = 2.0 * max(gained - h.log_odds_of_jumps, 0.0)
         bic[0] += held_back
         shares = [b - z if i in h.members else h.alone[i] for i, (b, z) in enumerate(zip(bic, zero, strict=True))]
-        penalties, against = h.penalties, dict.fromkeys((*h.objections, *_not_predicted(none, h, scale)))
+        penalties, against = h.penalties, dict.fromkeys((*h.objections, *_not_predicted(none, h, best)))
         return replace(
             h, score=sum(bic) + penalties + h.price - (sum(zero) + none_cost), objections=tuple(against),
             shares=tuple(shares), common=h.price + penalties - none_cost, held_back=held_back,
@@ -355,10 +355,10 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     return sorted(map(rated, others), key=lambda h: (not h.admissible, h.score))
 
 
-def _not_predicted(none: Hypothesis, h: Hypothesis, scale: float) -> list[str]:
+def _not_predicted(none: Hypothesis, h: Hypothesis, best: Hypothesis) -> list[str]:
     """Objection to a hypothesis that does not predict the segments held out as what it explains of the others promises.
 
-    scale : of their residuals, as a chi-square
+    best : has the scale of their residuals
 
     A cause predicts them no worse than the declared model, by one in log density, and better where what it explains of
     the fitted segments promises a gain of three. Models with an error promise nothing, as the error of either takes up
@@ -367,6 +367,7 @@ def _not_predicted(none: Hypothesis, h: Hypothesis, scale: float) -> list[str]:
     trial, declared = h.last, none.last
     if trial.held_out is None or declared.held_out is None or declared.held_out_chi2 == 0.0:
         return []
+    scale = best.last.held_out_scale
     gained = (trial.held_out_log_likelihood - declared.held_out_log_likelihood) / scale
     if trial.has_error:
         return [] if gained >= -math.log(POLICY.odds_apart) else [NOT_PREDICTED[0]]
