@@ -41,7 +41,7 @@ def kinds_of_keys() -> dict[str, object]:
 KINDS = kinds_of_keys()
 WALKED = [key for key in KEYS if not describes(key, KINDS) and key not in ELSEWHERE]
 WALKED.sort(key=lambda key: sha256(key.encode()).hexdigest())  # in an order that other keys do not change
-SAMPLE = int(os.environ.get("SIM_HEATING_WALKED_KEYS", "24"))
+SAMPLE = int(os.environ.get("SIM_HEATING_WALKED_KEYS", "12"))
 """How many keys are walked; the whole walk, with a large number in this variable, takes ten minutes of a processor."""
 
 
