@@ -163,10 +163,12 @@ def known_unit(name: str) -> Scale | None:
 
 def _is_written(registry: pint.UnitRegistry[Any], unit: Any) -> bool:
     """Whether anyone writes such a unit. `%s`, `ppm K` and `%rh` are a share times a unit; `%/s` is a rate."""
-    factors = [name for name, power in registry.Quantity(1.0, unit).unit_items() if float(power) > 0.0]
-    if any(name.startswith(LATEST_PREFIXES) for name in factors):
+    powers = {name: float(power) for name, power in registry.Quantity(1.0, unit).unit_items()}
+    if any(name.startswith(LATEST_PREFIXES) for name in powers):
         return False
-    return len(factors) < 2 or all(dict(registry.Quantity(1.0, n).to_base_units().unit_items()) for n in factors)
+    sides = ([n for n, power in powers.items() if power > 0.0], [n for n, power in powers.items() if power < 0.0])
+    shares = {n for n in powers if not dict(registry.Quantity(1.0, n).to_base_units().unit_items())}
+    return all(len(side) < 2 or shares.isdisjoint(side) for side in sides)
 
 
 def is_usable(scale: Scale) -> bool:
