@@ -71,7 +71,7 @@ HEADS = (
     (
         TIME,
         r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow)([^a-z]|$)"
-        r"|(?-i:^t$)|^x_value$",
+        r"|时间|日期|時間|日時|日付|시간|날짜|(?-i:^t$)|^x_value$",
     ),
     (
         TIME,
@@ -79,7 +79,7 @@ HEADS = (
         r"|tiempo|tempo|tijd)([^a-z].*)?$",
     ),
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
-    (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
+    (TEMPERATURE, r"(?i)temp|温度|溫度|온도|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
 )
 """Patterns of the names of columns, without their units; the first that fits holds."""
@@ -94,6 +94,8 @@ UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigm
 """Pattern of the names of columns that hold the uncertainty of others."""
 DIFFERENCE = r"(?i)(^|[^a-z])(delta|diff(erence)?|rise|change)([^a-z]|$)|[Δ∆]|^d[Tt]([^a-z].*)?$"
 """Pattern of the names of columns that hold differences of temperatures, which have no zero."""
+UNIT_COLUMN = r"(?i)(.*[ _.])?(?:units?|einheit)"
+"""Pattern of the name of a column of units; `Ch1_Unit` is that of `Ch1_Value`."""
 FACTOR = r"(?i)(.*?) ?([x*\u00d7] ?10+)"
 """Pattern of a name that ends in the factor of its numbers, which is a part of its unit."""
 REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|avg|smp|min|max|last|ave\.?"
@@ -343,12 +345,14 @@ def _with_unit_column(block: Block) -> Block:
 
     raises : InputError where such a column holds several units
     """
-    called = [k for k, n in enumerate(block.names) if re.fullmatch(r"(?i)(.*[ _])?units?|einheit", n.strip())]
+    called = {k: m[1] or "" for k, n in enumerate(block.names) if (m := re.fullmatch(UNIT_COLUMN, n.strip()))}
     stated = list(block.units)
-    for k in called:
+    for k, stem in called.items():
         unit = _unit_in_cells(block, k)
-        if len(called) > 1:
-            stated[k - 1] = stated[k - 1] or unit
+        partner = next((j for j, n in enumerate(block.names) if stem and j != k and n.strip().startswith(stem)), None)
+        if partner is not None or len(called) > 1:
+            reading = k - 1 if partner is None else partner
+            stated[reading] = stated[reading] or unit
         elif converted(unit, "K"):
             stated = [other or (unit if _lacks_unit(n) else "") for other, n in zip(stated, block.names, strict=True)]
     return replace(block, units=tuple(stated))
@@ -508,7 +512,7 @@ def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chos
 
 
 def _is_partner(name: str) -> bool:
-    return re.search(r"(?i)date|datum|time|zeit", name) is not None
+    return re.search(r"(?i)date|datum|time|zeit|时间|日期|時間|日付|시간|날짜", name) is not None
 
 
 def _is_all_digits(cell: str) -> bool:

@@ -690,6 +690,10 @@ def rows_of(form: Callable[[int, float], str]) -> str:
 @pytest.mark.parametrize(
     ("head", "form"),
     [
+        (
+            '"ALMEMO 2590-4S";;;\n"Datum:";"Zeit:";"M00: TC1"\n"";"";"°C"\n',
+            lambda i, T: f'"05.03.24";"10:45:{2 * i:02d}";' + f'"{T:.2f}"'.replace(".", ","),
+        ),
         ("Temps (s);Température (°C)\n", lambda i, T: f"{2 * i};{T:.2f}".replace(".", ",")),
         ("% rig 3\n% time[s] TC1[degC]\n", lambda i, T: f"{2 * i} {T:.2f}"),
         ('"Timestamp","TZ","1TC (degC)"\n', lambda i, T: f"2024/05/13 10:45:{2 * i:02d}.000,n,{T:.2f}"),
@@ -727,6 +731,7 @@ def rows_of(form: Callable[[int, float], str]) -> str:
         ("GMT,TC1 (C)\n", lambda i, T: f"134/10:45:{2 * i:02d}.000,{T:.2f}"),
     ],
     ids=[
+        "ALMEMO",
         "French",
         "comment of MATLAB",
         "dataTaker",
@@ -780,6 +785,63 @@ def test_a_row_of_json_lines_that_is_no_object_is_named() -> None:
 def test_columns_of_json_are_read() -> None:
     Path("t.json").write_text(json.dumps({"time_s": list(range(12)), "TC1_K": CHANNEL_K.tolist()}))
     np.testing.assert_allclose(read_measured_csv(Path("t.json")).of_kind(TEMPERATURE)[0].si, CHANNEL_K)
+
+
+def of_noon(i: int, T: float, halves: str) -> str:
+    """A row 12 s before noon and later, with the word of a half of the day before the time."""
+    s = 43188 + 2 * i
+    return f"2024/3/5 {halves.split()[s >= 43200]} {12 if s >= 43200 else 11}:{s // 60 % 60:02d}:{s % 60:02d},{T:.2f}"
+
+
+@pytest.mark.parametrize("page", ["utf-8", "gb18030", "cp932", "cp949"])
+def test_dates_of_east_asian_loggers_are_read(page: str) -> None:
+    head, signs, halves = {
+        "cp932": ("日時,温度1[℃]", "年月日時分秒", "午前 午後"),
+        "cp949": ("시간,온도 (℃)", "년월일시분초", "오전 오후"),
+    }.get(page, ("时间,TC1(℃)", "年月日时分秒", "上午 下午"))
+    y, m, d, h, n, s = signs
+    forms = (
+        lambda i, T: f"2024{y}03{m}05{d} 14{h}22{n}{2 * i:02d}{s},{T:.2f}",
+        lambda i, T: f"2024{y}3{m}5{d}14{h}22{n}{2 * i}{s},{T:.2f}",
+        lambda i, T: of_noon(i, T, halves),
+    )
+    for form in forms:
+        Path("t.csv").write_bytes(f"{head}\n{rows_of(form)}".encode(page))
+        measured = read_measured_csv(Path("t.csv"))
+        np.testing.assert_allclose(measured.of_kind(TEMPERATURE)[0].si, CHANNEL_K, atol=0.006)
+        np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
+
+
+def test_objects_and_lists_in_rows_of_json_are_columns() -> None:
+    """Of a value with its unit, whichever stands first, the unit is that of the value."""
+    C = (CHANNEL_K - 273.15).tolist()
+    texts = {
+        "tc.TC1": [{"time_s": 2.0 * i, "tc": {"TC1": T, "TC2": T}} for i, T in enumerate(CHANNEL_K)],
+        "tc.1": [{"time_s": 2.0 * i, "tc": [T, T]} for i, T in enumerate(CHANNEL_K)],
+        "sensors.TC1.value": [
+            {"time_s": 2.0 * i, "sensors": {"TC1": {"unit": "degC", "value": T}, "TC2": {"unit": "K", "value": 293.0}}}
+            for i, T in enumerate(C)
+        ],
+    }
+    for name, rows in texts.items():
+        Path("t.jsonl").write_text("\n".join(map(json.dumps, rows)))
+        columns = {c.name: c for c in read_measured_csv(Path("t.jsonl")).of_kind(TEMPERATURE)}
+        assert len(columns) == 2
+        np.testing.assert_allclose(columns[name].si, CHANNEL_K)
+    Path("t.json").write_text(json.dumps({"title": "run", "data": texts["tc.TC1"]}))
+    assert len(read_measured_csv(Path("t.json")).of_kind(TEMPERATURE)) == 2
+
+
+def test_a_list_that_differs_in_length_names_no_sensor() -> None:
+    rows = [{"time_s": 2.0 * i, "TC_K": T, "events": [1] * (i % 3)} for i, T in enumerate(CHANNEL_K)]
+    Path("t.jsonl").write_text("\n".join(map(json.dumps, rows)))
+    assert [c.name for c in read_measured_csv(Path("t.jsonl")).of_kind(TEMPERATURE)] == ["TC"]
+
+
+def test_rows_without_a_number_of_their_own_are_shown() -> None:
+    Path("t.txt").write_text("ZEIT DATUM: 05.03.24\n" + rows_of(lambda i, T: f"10:45:{2 * i:02d} 00: {T:.1f} °C01: x"))
+    with pytest.raises(InputError, match=r"row 13, `10:45:22, 00:, .*`, is none. Write a time and temperatures alone"):
+        read_measured_csv(Path("t.txt"))
 
 
 @pytest.mark.parametrize("read", [read_measured_csv, read_fields])

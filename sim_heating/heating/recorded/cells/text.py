@@ -17,6 +17,12 @@ from sim_heating.heating.recorded.cells.block import Block
 from sim_heating.heating.recorded.cells.json_rows import is_json, json_block
 from sim_heating.heating.recorded.cells.tecplot import is_tecplot, tecplot_block
 
+
+
+def _with_colons(time: re.Match[str]) -> str:
+    return ":".join(part for part in time.groups() if part)
+
+
 WIDE = "  "
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", WIDE: "wide blanks", " ": "blanks"}
 """In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates, and no two do."""
@@ -35,6 +41,19 @@ CLOCK_CELL = re.compile(
 """What may be a date or a time of day."""
 DOTTED_AFTER_DATE = re.compile(r"(?<=\d[ T])(\d{1,2})\.(\d{2})\.(\d{2})(?![.\d])")
 """Time of day with points in place of colons, behind a date."""
+EAST_ASIAN = (
+    (re.compile(r"(\d{2,4}) ?[年년] ?(\d{1,2}) ?[月월] ?(\d{1,2}) ?[日일] ?"), r"\1-\2-\3 "),
+    (re.compile(r"(\d{1,2}) ?[时時시] ?(\d{1,2}) ?[分분](?: ?(\d{1,2}(?:\.\d+)?) ?[秒초])?"), _with_colons),
+    (re.compile(r"(?:上午|午前|오전) ?(\d{1,2}:[\d:.]+)"), r"\1 AM"),
+    (re.compile(r"(?:下午|午後|오후) ?(\d{1,2}:[\d:.]+)"), r"\1 PM"),
+)
+"""Signs of years, hours and halves of a day in Chinese, Japanese and Korean -> the usual ones."""
+CODE_PAGES = {
+    "gb18030": r"\d年|时间|日期|上午|下午|温度",
+    "cp932": r"\d年|時間|日時|日付|午前|午後|温度",
+    "cp949": r"\d년|시간|날짜|오전|오후|온도",
+}
+"""Code page -> words by which a text is in it."""
 SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
 """Several numbers in one cell."""
 FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
@@ -47,7 +66,7 @@ SIGN_APART = re.compile(r"(?m)(^|[,;\t|])([+-]) +(?=[\d.])")
 """A sign with blanks behind it, as Graphtec writes numbers."""
 PROCESS = {"", "avg", "smp", "min", "max", "std", "tot", "sample", "ave", "average", "last", "mean"}
 """Words of a row that states how a logger reduced its samples."""
-NAME_WORDS = r"(?i)time|zeit|date|datum|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$|^t_|flux|plate"
+NAME_WORDS = r"(?i)time|zeit|date|datum|时间|日期|時間|日時|日付|시간|날짜|温度|溫度|온도|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$|^t_|flux|plate"
 """Words by which a row is one of names."""
 COMMENT_SIGNS = ("#", "%")
 """Signs that begin a line of comment, which may hold the names of the columns."""
@@ -55,18 +74,33 @@ HAS_BLANK = re.compile(r"\s").search
 """Whether a line holds a blank of any kind."""
 OPEN_QUOTE = re.compile(r'(?:^|[,;\t|])\s*"(?:[^"]|"")*$')
 """A cell that begins with a quote and does not end in the line; another quote may be an inch."""
-TIME_WORDS = r"(?i)time|zeit|date|datum|^t$|^(elapsed )?sec"
+TIME_WORDS = r"(?i)time|zeit|date|datum|时间|日期|時間|日時|日付|시간|날짜|^t$|^(elapsed )?sec"
 """Words of the name of a time."""
 HEAD_LINES = 50
 """Most lines above the data."""
 TRAILER_LINES = 30
 """Most lines behind the data that may be a summary."""
+PAGE_CHARACTERS = 100_000
+"""Characters from the beginning by which the code page is found."""
 SAMPLE_LINES = 4000
 """Lines from which the separator is found: half from the beginning, half from the end."""
 
 
+def western(cell: str) -> str:
+    """A date or a time of day without the signs that East Asian loggers write in it.
+
+    >>> western("2024年3月5日 14时22分05秒"), western("2024/3/5 下午 2:22:05")
+    ('2024-3-5 14:22:05', '2024/3/5 2:22:05 PM')
+    """
+    if cell.isascii():
+        return cell
+    for pattern, usual in EAST_ASIAN:
+        cell = pattern.sub(usual, cell)
+    return cell.strip()
+
+
 def decoded(path: Path) -> str:
-    """The text of a file in UTF-8, UTF-16 or the code page of Windows.
+    """The text of a file in UTF-8, UTF-16 or a code page of Windows.
 
     raises : as `read_text`
     """
@@ -80,7 +114,9 @@ def decoded(path: Path) -> str:
         raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         if b"\0" not in raw:  # a spreadsheet of Windows: the degree sign is byte 0xb0
-            return raw.decode("cp1252", errors="replace")
+            texts = {page: raw.decode(page, errors="replace") for page in CODE_PAGES}
+            page = next((p for p, words in CODE_PAGES.items() if re.search(words, texts[p][:PAGE_CHARACTERS])), "")
+            return texts[page] if page else raw.decode("cp1252", errors="replace")
     return read_text(path)
 
 
@@ -239,6 +275,7 @@ def is_number(cell: str) -> bool:
 
 def is_clock(cell: str) -> bool:
     """Whether a cell may hold a date or a time of day."""
+    cell = western(cell)
     has_time = SEVERAL.fullmatch(cell) is None or DOTTED_AFTER_DATE.search(cell) is not None
     return CLOCK_CELL.fullmatch(cell) is not None and has_time
 
@@ -268,7 +305,11 @@ def rows_block(
     width = max(Counter(len(c) for _, c in split).items(), key=lambda item: (item[1], item[0]))[0]
     first = _first_row(split, width, recorder)
     if first is None:
-        raise InputError(f"{file}: no rows of numbers were found; give a file with a time and temperatures")
+        usual, cells = next((line, cells) for line, cells in reversed(split) if len(cells) == width)
+        raise InputError(
+            f"{file}: no rows of numbers were found; row {usual}, `{_shown(cells)}`, is none. Write a time and "
+            "temperatures alone in each row, one number a cell, or state --separator"
+        )
     body, notes = _body(file, split, first, _last_row(split, first, width))
     columns = _columns_of_rows(file, body, width)
     while width > 1 and not any(columns[-1]) and not _named_cell(split, first, width - 1):
