@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -110,7 +111,11 @@ DAY_NUMBERS = (36526.0, 73050.0)
 """Days of a spreadsheet, 2000 to 2099."""
 SHORTEST_STEP_S = 1e-3
 EXAMPLE = "--time COLUMN"
+DIGITS, TINY = 12, 1e-300
+"""Digits of a converted number; the least magnitude that is not taken for 0."""
 SHOWN_ROWS = 5
+PROBED_CELLS = 200
+"""Cells at each end of a column by which it is found what it holds."""
 NAMED_ROWS = 5
 """Rows that a message about several readings names."""
 
@@ -141,8 +146,11 @@ class CsvColumn:
         assert scale is not None  # a unit is checked when it is chosen
         if scale == (1.0, 0.0):
             return self.values
-        distinct, which = np.unique(self.values, return_inverse=True)  # a recorder has few of them
-        return np.array([float(f"{scale.factor * v + scale.offset:.12g}") for v in distinct])[which]
+        values = scale.factor * self.values + scale.offset
+        # tens are exact in this range: the quotient is the number nearest to the one with twelve digits
+        magnitude = np.floor(np.log10(np.maximum(np.abs(values), TINY)))
+        tens = 10.0 ** np.clip(DIGITS - 1.0 - magnitude, 0.0, 22.0)
+        return np.rint(values * tens) / tens
 
 
 @dataclass(frozen=True)
@@ -526,10 +534,11 @@ def _clock_word(unit: str) -> str | None:
 
 
 def _mostly(cells: Sequence[str], holds: object) -> bool:
-    full = [c for c in cells if c]
-    if not callable(holds) or not full:
+    few = len(cells) <= 2 * PROBED_CELLS
+    ends = (cells,) if few else (cells, reversed(cells))
+    probe = [cell for end in ends for cell in islice(filter(None, end), None if few else PROBED_CELLS)]
+    if not callable(holds) or not probe:
         return False
-    probe = full if len(full) <= 400 else [*full[:200], *full[-200:]]
     return sum(bool(holds(c)) for c in probe) > 0.5 * len(probe)
 
 

@@ -219,8 +219,9 @@ def split_lines(lines: Sequence[tuple[int, str]], sign: str) -> list[Row]:
         rows = list(map(tuple, csv.reader(texts, delimiter=sign, skipinitialspace=True)))
         if len(rows) != len(texts):  # a quote that is not closed
             rows = [tuple(next(csv.reader([line], delimiter=sign, skipinitialspace=True))) for line in texts]
-    if any(map(HAS_BLANK, texts)):
-        rows = [tuple(map(str.strip, cells)) for cells in rows]
+    # names often have blanks, and a million rows below them none
+    spaced = len(texts) if any(map(HAS_BLANK, texts[HEAD_LINES:])) else HEAD_LINES
+    rows[:spaced] = [tuple(map(str.strip, cells)) for cells in rows[:spaced]]
     return [(i, cells) for (i, _), cells in zip(lines, rows, strict=True)]
 
 
