@@ -48,7 +48,15 @@ from sim_heating.heating.recorded.cells.numbers import (
     require_one_unit,
     shown_cell,
 )
-from sim_heating.heating.recorded.cells.text import decoded, is_clock, is_number, rows_block, text_block
+from sim_heating.heating.recorded.cells.text import (
+    EAST_ASIAN_TEMPERATURE,
+    EAST_ASIAN_TIME,
+    decoded,
+    is_clock,
+    is_number,
+    rows_block,
+    text_block,
+)
 from sim_heating.templates.loggers.files import kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import (
     FLUX,
@@ -72,7 +80,7 @@ HEADS = (
     (
         TIME,
         r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow)([^a-z]|$)"
-        r"|时间|日期|時間|日時|日付|시간|날짜|(?-i:^t$)|^x_value$",
+        rf"|{EAST_ASIAN_TIME}|(?-i:^t$)|^x_value$",
     ),
     (
         TIME,
@@ -80,7 +88,10 @@ HEADS = (
         r"|tiempo|tempo|tijd)([^a-z].*)?$",
     ),
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
-    (TEMPERATURE, r"(?i)temp|温度|溫度|온도|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
+    (
+        TEMPERATURE,
+        rf"(?i)temp|{EAST_ASIAN_TEMPERATURE}|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$",
+    ),
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
 )
 """Patterns of the names of columns, without their units; the first that fits holds."""
@@ -520,7 +531,7 @@ def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chos
 
 
 def _is_partner(name: str) -> bool:
-    return re.search(r"(?i)date|datum|time|zeit|时间|日期|時間|日付|시간|날짜", name) is not None
+    return re.search(rf"(?i)date|datum|time|zeit|{EAST_ASIAN_TIME}", name) is not None
 
 
 def _is_all_digits(cell: str) -> bool:
@@ -1086,8 +1097,8 @@ def _with_stated_unit(path: Path, column: CsvColumn, unit: str, is_declared: boo
         raise InputError(f"{option} {unit}: {problem}")
     if is_declared and column.unit and converted(column.unit, si) != converted(unit, si):
         raise InputError(
-            f"{display_path(path)}, column {column.name}: the file says {column.unit}, and --layout {unit}; correct "
-            "the layout"
+            f"--layout: unit of column {column.name}: `{unit}`, and {display_path(path)} says {column.unit}; correct "
+            "one of the two"
         )
     _warn_of_other_unit(path, column, unit, option)
     return replace(column, unit=unit, reason=f"{column.reason}; {option}")

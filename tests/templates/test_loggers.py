@@ -612,7 +612,7 @@ def test_a_layout_is_kept_for_the_next_files_of_the_recorder() -> None:
     assert "no rows of numbers" in refused(*by_other)
     Path("rig.toml").write_text(layout)
     rows("millis;T_front", ["0;20,5", "2000;20,5"])
-    assert "--layout: column T_back: there is no such column" in refused(
+    assert "rig.toml, [column] 1: `name`: `T_back`: there is no such column in t.csv" in refused(
         "new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c"
     )
     Path("rig.toml").write_text(Path("rig.toml").read_text().replace("decimal", "decimals"))
@@ -631,6 +631,37 @@ def test_a_layout_is_kept_for_the_next_files_of_the_recorder() -> None:
 def test_a_layout_whose_unit_is_none_is_refused_by_its_file_and_key(stated: str, said: str) -> None:
     Path("rig.toml").write_text(f'format = "logger-layout/1"\n{stated}\n')
     assert said in refused("validate", "rig.toml")
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ('time = "Zeit"', "rig.toml: `time`: `Zeit`: there is no such column in t.csv"),
+        ('time_unit = "hh:mm"', "rig.toml: `time_unit`: `hh:mm`: `0` in t.csv, column Time is no such clock"),
+        ('[[column]]\nname = "T"\nunit = "K"', "rig.toml, [column] 1: `unit`: `K`, and t.csv says degC; correct one"),
+        ('[[column]]\nname = "T"\ndepth = "9mm"', "rig.toml, [column] 1: `depth`: `9mm`: lies outside the stack"),
+        (
+            'thermocouple = "K"\nreference_junction = "25degC"',
+            "rig.toml: `thermocouple`: `K`: no column of t.csv states",
+        ),
+    ],
+)
+def test_what_a_layout_states_wrongly_is_named_by_its_key(stated: str, said: str) -> None:
+    rows("Time (s),T (degC)", [f"{2 * k},{20 + k}" for k in range(61)])
+    Path("rig.toml").write_text(f'format = "logger-layout/1"\n{stated}\n')
+    plate = ("--layer", "copper 3 mm", "--depth", "T=back", "--lamp", "unknown", "--emissivity", "0.9")
+    plate = plate if "depth" not in stated else (*plate[:2], *plate[4:])
+    assert said in refused("new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c")
+
+
+def test_a_unit_of_a_layout_that_prevails_is_told_by_its_key(capsys: pytest.CaptureFixture[str]) -> None:
+    rows("Time (s),T (degC)", [f"{2 * k},{20 + k}" for k in range(61)])
+    Path("rig.toml").write_text('format = "logger-layout/1"\ntime_unit = "min"\n')
+    plate = ("--layer", "copper 3 mm", "--depth", "T=back", "--lamp", "unknown", "--emissivity", "0.9")
+    warnings.simplefilter("always")
+    assert main(["new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c", "--json"]) == 0
+    (told,) = [w for w in json.loads(capsys.readouterr().out)["warnings"] if "column Time" in w]
+    assert "the file says s, `time_unit` in rig.toml says min; read as min. Leave `time_unit` in rig.toml out" in told
 
 
 def test_a_layout_states_the_unit_of_fluxes_that_state_none() -> None:

@@ -109,7 +109,8 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
               [-]; without a deflection the table has one node in it, at 0 deg
     returns : the table on its grid, header included
     raises  : InputError with row and column: not a number, a value outside the limits of its column, a negative sigma,
-              a ratio below 0 by more than its uncertainty, an unknown column, a repeated or missing node; nodes, ratios or sigma in another unit
+              a ratio below 0 by more than its uncertainty, an unknown column, a repeated or missing node; nodes, ratios
+              or sigma in another unit
     """
     return table_of_text(Path(path), read_text(path))
 
@@ -149,7 +150,9 @@ def _remarks(table: RatioTable, where: str) -> list[str]:
         remarks.append(f"{where}, column ratio: the largest is {largest:g} ({RATIOS[0]:g} to {RATIOS[1]:g} is usual)")
     if negative := int(np.count_nonzero(table.ratio < 0.0)):
         at = np.unravel_index(int(np.argmin(table.ratio)), table.ratio.shape)
-        names = ", ".join(f"{n} {a[i]:g}" for n, a, i in zip(RATIO_VARIABLES, table.axes, at, strict=True) if len(a) > 1)
+        names = ", ".join(
+            f"{n} {a[i]:g}" for n, a, i in zip(RATIO_VARIABLES, table.axes, at, strict=True) if len(a) > 1
+        )
         remarks.append(
             f"{where}, column ratio: {negative} of {table.ratio.size} nodes are negative, down to {table.ratio[at]:g} "
             f"({names}); no film coefficient is"

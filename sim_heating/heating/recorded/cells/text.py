@@ -18,7 +18,6 @@ from sim_heating.heating.recorded.cells.json_rows import is_json, json_block
 from sim_heating.heating.recorded.cells.tecplot import is_tecplot, tecplot_block
 
 
-
 def _with_colons(time: re.Match[str]) -> str:
     return ":".join(part for part in time.groups() if part)
 
@@ -66,7 +65,12 @@ SIGN_APART = re.compile(r"(?m)(^|[,;\t|])([+-]) +(?=[\d.])")
 """A sign with blanks behind it, as Graphtec writes numbers."""
 PROCESS = {"", "avg", "smp", "min", "max", "std", "tot", "sample", "ave", "average", "last", "mean"}
 """Words of a row that states how a logger reduced its samples."""
-NAME_WORDS = r"(?i)time|zeit|date|datum|时间|日期|時間|日時|日付|시간|날짜|温度|溫度|온도|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$|^t_|flux|plate"
+EAST_ASIAN_TIME, EAST_ASIAN_TEMPERATURE = "时间|日期|時間|日時|日付|시간|날짜", "温度|溫度|온도"
+"""Words for time and date, and for a temperature, in names."""
+NAME_WORDS = (
+    rf"(?i)time|zeit|date|datum|{EAST_ASIAN_TIME}|temp|{EAST_ASIAN_TEMPERATURE}|^tc|thermo|sensor|chan|^ch\d|^t\d*$|^t_"
+    r"|flux|plate"
+)
 """Words by which a row is one of names."""
 COMMENT_SIGNS = ("#", "%")
 """Signs that begin a line of comment, which may hold the names of the columns."""
@@ -74,7 +78,7 @@ HAS_BLANK = re.compile(r"\s").search
 """Whether a line holds a blank of any kind."""
 OPEN_QUOTE = re.compile(r'(?:^|[,;\t|])\s*"(?:[^"]|"")*$')
 """A cell that begins with a quote and does not end in the line; another quote may be an inch."""
-TIME_WORDS = r"(?i)time|zeit|date|datum|时间|日期|時間|日時|日付|시간|날짜|^t$|^(elapsed )?sec"
+TIME_WORDS = rf"(?i)time|zeit|date|datum|{EAST_ASIAN_TIME}|^t$|^(elapsed )?sec"
 """Words of the name of a time."""
 HEAD_LINES = 50
 """Most lines above the data."""
