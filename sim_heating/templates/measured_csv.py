@@ -92,7 +92,7 @@ HEADS = (
         TEMPERATURE,
         rf"(?i)temp|{EAST_ASIAN_TEMPERATURE}|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$",
     ),
-    (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
+    (TEMPERATURE, r"^T([^a-z]{1,2}|[^A-Za-z].*)?$|_K$"),
 )
 """Patterns of the names of columns, without their units; the first that fits holds."""
 COUNTER = (
@@ -436,6 +436,8 @@ def _columns_of_a_long_table(block: Block) -> tuple[list[int], int, int] | None:
             numbers.append(k)
         if holds == "text" and _may_name_sensors(block, k):
             labels.append(k)
+    called = [k for k in numbers if re.fullmatch(r"(?i)_?values?", block.names[k])]
+    numbers = called or numbers  # beside a reading may stand the number of its table
     return (times, labels[0], numbers[0]) if len(labels) == len(numbers) == 1 and times else None
 
 
@@ -447,7 +449,7 @@ def _cells_hold(cells: Sequence[str]) -> str:
 
 
 def _may_name_sensors(block: Block, k: int) -> bool:
-    words = r"(?i)sensor|channel|name|id|probe|tc|thermo|point|location|signal|variable|tag"
+    words = r"(?i)sensor|channel|name|id|probe|series|field|metric|tc|thermo|point|location|signal|variable|tag"
     names = set(block.column(k))
     return re.search(words, block.names[k]) is not None and 2 <= len(names) <= max(2, len(block.lines) // 3)
 

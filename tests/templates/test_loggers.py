@@ -362,7 +362,7 @@ def test_readings_that_are_stated_as_lost_are_lost_samples() -> None:
     assert np.isnan(T).tolist() == [False, True, False, True, False]
 
 
-@pytest.mark.parametrize("cell", ["21,5 kelvin 30", "n/a 30", "NaN 30", "null 30", "--- 30"])
+@pytest.mark.parametrize("cell", ["21,5 kelvin 30", "n/a 30", "NaN 30", "null 30", "--- 30", "OL 30", "OVER 30", "Open TC 30"])
 def test_a_cell_of_several_values_is_no_lost_sample(cell: str) -> None:
     path = rows("Time (s);TC1", [f"{2 * k};{300 + k},5 kelvin" for k in range(20)] + [f"40;{cell}", "42;320,5 kelvin"])
     with pytest.raises(InputError, match=f"row 22, column TC1: `{cell}` is no number in the layout"):
@@ -725,6 +725,17 @@ def rows_of(form: Callable[[int, float], str]) -> str:
             '"ALMEMO 2590-4S";;;\n"Datum:";"Zeit:";"M00: TC1"\n"";"";"°C"\n',
             lambda i, T: f'"05.03.24";"10:45:{2 * i:02d}";' + f'"{T:.2f}"'.replace(".", ","),
         ),
+        (
+            "Vendor ,Graphtec Corporation\nModel   ,GL840\nSampling interval,2s\nTotal data points,12\n"
+            "Start time,2024-03-05,10:45:00\nEnd time,2024-03-05,10:45:22\nAMP settings\nCH,Signal name,Input\n"
+            "CH1,front,TEMP,TC_K,Off\nLogic/Pulse,Off\nData\nNumber,Date&Time,ms,CH1,AL1-10\nNO.,Time,ms,degC,A12345\n",
+            lambda i, T: f"{i + 1},2024/03/05 10:45:{2 * i:02d},0,+ {T:.2f},LLLL",
+        ),
+        (
+            "EL-USB-TC,Time,Celsius(°C),High Alarm,Serial Number\n",
+            lambda i, T: f"{i + 1},05/03/2024 10:45:{2 * i:02d},{T:.2f}" + ",300,010012345" * (i == 0),
+        ),
+        ("TIME,DATE,CH1 C,DIO,TOTAL\n", lambda i, T: f"10:45:{2 * i:02d},03/05/24,{T:.2f},255,0"),
         ("Temps (s);Température (°C)\n", lambda i, T: f"{2 * i};{T:.2f}".replace(".", ",")),
         ("% rig 3\n% time[s] TC1[degC]\n", lambda i, T: f"{2 * i} {T:.2f}"),
         ('"Timestamp","TZ","1TC (degC)"\n', lambda i, T: f"2024/05/13 10:45:{2 * i:02d}.000,n,{T:.2f}"),
@@ -763,6 +774,9 @@ def rows_of(form: Callable[[int, float], str]) -> str:
     ],
     ids=[
         "ALMEMO",
+        "Graphtec with its header",
+        "Lascar with constants in the first row",
+        "Fluke Hydra with a total",
         "French",
         "comment of MATLAB",
         "dataTaker",
@@ -861,6 +875,28 @@ def test_objects_and_lists_in_rows_of_json_are_columns() -> None:
         np.testing.assert_allclose(columns[name].si, CHANNEL_K)
     Path("t.json").write_text(json.dumps({"title": "run", "data": texts["tc.TC1"]}))
     assert len(read_measured_csv(Path("t.json")).of_kind(TEMPERATURE)) == 2
+
+
+@pytest.mark.filterwarnings("ignore:.*no unit is stated")
+def test_tables_of_a_database_one_below_the_other_are_sensors() -> None:
+    """InfluxDB writes a table for each field, each with its names; Grafana a row for each reading of a series."""
+    head = "#group,false,false,true,true,false\n#datatype,string,long,dateTime:RFC3339,double,string\n"
+    head += "#default,_result,,,,\n,result,table,_time,_value,_field\n"
+    influx = [
+        head + rows_of(lambda i, T, k=k: f",,{k},2024-03-05T10:45:{2 * i:02d}Z,{T + k:.2f},TC{k}") for k in (0, 1)
+    ]
+    series = [rows_of(lambda i, T, k=k: f'"TC{k}";"2024-03-05T10:45:{2 * i:02d}Z";{T + k:.2f}') for k in (0, 1)]
+    for text in ("\n".join(influx), '"Series";"Time";"Value"\n' + "".join(series)):
+        Path("t.csv").write_text(text)
+        columns = {c.name: c.si for c in read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)}
+        np.testing.assert_allclose(columns["TC0"], CHANNEL_K, atol=0.006)
+        np.testing.assert_allclose(columns["TC1"], CHANNEL_K + 1.0, atol=0.006)
+
+
+def test_a_row_of_data_that_is_longer_than_the_others_is_not_lost() -> None:
+    Path("t.csv").write_text("Time (s),TC1 (C)\n0,20.0,1\n2,20.1\n4,20.2\n6,20.3\n")
+    with pytest.raises(InputError, match=r"t.csv, row 2: `0, 20.0, 1` does not have 2 cells as the other rows"):
+        read_measured_csv(Path("t.csv"))
 
 
 def test_a_list_that_differs_in_length_names_no_sensor() -> None:

@@ -19,7 +19,7 @@ from sim_heating.heating.recorded.cells.block import Block
 
 BLANKS = "\u00a0\u202f'"
 """Thousands signs that are no decimal sign."""
-TORN = re.compile(r"(?i)(?:(?:#?n/?an?|null|none|-+)\s+)?\(?[+-]?[.,]?\d")
+TORN = re.compile(r"(?i)(?:(?:#?n/?an?|null|none|ov?l|over\w*|open(?: tc)?|-+)\s+)?\(?[+-]?[.,]?\d")
 """How a cell begins that holds a number, or several, also behind a lost one or in brackets, but not in the layout of
 the file."""
 PLAIN_CHARACTERS = set("0123456789.+-eE")

@@ -268,6 +268,8 @@ def _is_torn(cell: str, sign: str) -> bool:
     if re.fullmatch(r"\d{8}\s+\d{4,6}", cell):
         return False
     if CLOCK_CELL.fullmatch(cell):
+        if sign == " " and len(re.findall("[,;]", cell)) > 1:
+            return True  # one may be the decimal sign of the seconds
         ends_in_year = re.search(r"[A-Za-z]{3} +\d{1,2} [\d:]+ \d{4}$", cell)
         return not ends_in_year and re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
     return re.search(r"\d[.,]?\s+[+-]?[.,]?\d", cell) is not None
@@ -308,7 +310,17 @@ def rows_block(
     """
     file = display_path(path)
     width = max(Counter(len(c) for _, c in split).items(), key=lambda item: (item[1], item[0]))[0]
+    split, width = _with_constants(split, width)
     first = _first_row(split, width, recorder)
+    if (
+        first
+        and len(split[first - 1][1]) > width
+        and _is_data(split[first - 1][1])
+        and not _is_comment(split[first - 1][1])
+    ):
+        line, cells = split[first - 1]
+        rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
+        raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
     if first is None:
         usual, cells = next((line, cells) for line, cells in reversed(split) if len(cells) == width)
         raise InputError(
@@ -327,6 +339,18 @@ def rows_block(
     return Block(path, *table, sign, "", names_line, about, tuple(notes))
 
 
+def _with_constants(split: Sequence[Row], width: int) -> tuple[Sequence[Row], int]:
+    """Rows, and their number of cells, of a file whose first row of data alone has the constants of the run behind its
+    readings, below their names, as Lascar writes it: the cells of the others are empty there."""
+    k = next((k for k, (_, cells) in enumerate(split[:HEAD_LINES]) if len(cells) > width and _is_data(cells)), 0)
+    wide = len(split[k][1])
+    has_names = k > 0 and len(split[k - 1][1]) == wide and not _is_data(split[k - 1][1])
+    if not has_names or any(len(cells) != width for _, cells in split[k + 1 :]):
+        return split, width
+    rest = ((line, (*cells, *[""] * (wide - width))) for line, cells in split[k + 1 :])
+    return [*split[: k + 1], *rest], wide
+
+
 def _body(file: str, split: Sequence[Row], first: int, last: int) -> tuple[list[Row], list[str]]:
     """Rows of data from the first to the last, without comments, and notes of what is left out.
 
@@ -343,6 +367,11 @@ def _body(file: str, split: Sequence[Row], first: int, last: int) -> tuple[list[
     body = [row for row in split[first : last + 1] if row[1][0][:1] not in COMMENT_SIGNS or not _is_comment(row[1])]
     if comments := last + 1 - first - len(body):
         notes.append(f"{comments} lines of comment amid the data left out")
+    names = split[first - 1][1] if first and comments else ()
+    below = {row[0] for above, row in pairwise(split[first : last + 1]) if row[1] == names and _is_comment(above[1])}
+    if below:
+        body = [row for row in body if row[0] not in below]
+        notes.append(f"the names stand again in row {min(below)}, below a comment: left out")
     return body, notes
 
 
