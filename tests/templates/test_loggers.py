@@ -362,7 +362,9 @@ def test_readings_that_are_stated_as_lost_are_lost_samples() -> None:
     assert np.isnan(T).tolist() == [False, True, False, True, False]
 
 
-@pytest.mark.parametrize("cell", ["21,5 kelvin 30", "n/a 30", "NaN 30", "null 30", "--- 30", "OL 30", "OVER 30", "Open TC 30"])
+@pytest.mark.parametrize(
+    "cell", ["21,5 kelvin 30", "n/a 30", "NaN 30", "null 30", "--- 30", "OL 30", "OVER 30", "Open TC 30"]
+)
 def test_a_cell_of_several_values_is_no_lost_sample(cell: str) -> None:
     path = rows("Time (s);TC1", [f"{2 * k};{300 + k},5 kelvin" for k in range(20)] + [f"40;{cell}", "42;320,5 kelvin"])
     with pytest.raises(InputError, match=f"row 22, column TC1: `{cell}` is no number in the layout"):

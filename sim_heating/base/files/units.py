@@ -163,7 +163,7 @@ def known_unit(name: str) -> Scale | None:
 
 def _is_written(registry: pint.UnitRegistry[Any], unit: Any) -> bool:
     """Whether anyone writes such a unit. `%s`, `ppm K` and `%rh` are a share times a unit; `%/s` is a rate."""
-    powers = {name: float(power) for name, power in registry.Quantity(1.0, unit).unit_items()}
+    powers = dict(dimension_of(dict(registry.Quantity(1.0, unit).unit_items())))
     if any(name.startswith(LATEST_PREFIXES) for name in powers):
         return False
     sides = ([n for n, power in powers.items() if power > 0.0], [n for n, power in powers.items() if power < 0.0])
