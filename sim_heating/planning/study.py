@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,9 +31,11 @@ from pydantic import Field, model_validator
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml, roots_of
+from sim_heating.estimation.report.estimate_file import NAME as ESTIMATE_FILE
 from sim_heating.heating.effects import add_user_effects
 from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, make_scenario
 from sim_heating.inputs.vehicle import Vehicle, add_vehicle_files, load_vehicle, vehicle_place
+from sim_heating.planning.bands import DECLARED, Member, read_member
 from sim_heating.planning.dispersion.spec import Dispersion
 from sim_heating.planning.envelope.spec import Envelope, NextFlight
 from sim_heating.planning.limited_point import LimitedPoint
@@ -82,6 +85,7 @@ class Study:
     points : its control points with their temperature limits
     hash   : of the study and all its inputs, HASH_LENGTH characters
     root   : folder that its files may name others in, as it was given
+    estimates : files of the estimates that margins are by
     """
 
     path: Path
@@ -90,6 +94,7 @@ class Study:
     points: tuple[LimitedPoint, ...]
     hash: str
     root: Path | None = None
+    estimates: tuple[Path, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Study `{self.title}`: {self.stamp}>"
@@ -112,7 +117,27 @@ class Study:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files and directories that it is made from; no results may replace them."""
-        return (self.path, *self.base.files)
+        return (self.path, *self.base.files, *self.estimates)
+
+    def members(self) -> tuple[Member, ...]:
+        """What may be true of the control points, each with its weight, for margins at the band; none without bands.
+
+        raises : InputError for an estimate that cannot be read, or of no control point of the study
+        """
+        envelope = self.declared.envelope
+        if envelope is None or not envelope.bands:
+            return ()
+        members = []
+        for i, (path, stated) in enumerate(zip(self.estimates, envelope.member, strict=True), 1):
+            member = read_member(path, stated.weight, self.root)
+            point = member.estimate.control_point if member.estimate else None
+            if point is not None and point not in self.base.names:
+                raise InputError(
+                    f"{display_path(self.path)}, [[envelope.member]] {i}: `estimate`: {display_path(path)} is of "
+                    f"{point}, which is not among the study's control points; add it there"
+                )
+            members.append(member)
+        return tuple(members) or DECLARED
 
     def optimal(self) -> OptimalStudy | None:
         """The optimal entry that the study asks for; None where it has no [optimal]."""
@@ -150,10 +175,28 @@ def load_study(
             f'"{loaded.revision}"; change one of them'
         )
     base = _base(study_path, declared, loaded, root)
-    points, digest = _limited_points(study_path, declared, base), _hash(study_path, declared, base)
-    study = Study(study_path, declared, base, points, digest, None if root is None else Path(root).absolute())
+    points, estimates = _limited_points(study_path, declared, base), _estimates(study_path, declared, base, root)
+    digest = _hash(study_path, declared, base, estimates)
+    at = None if root is None else Path(root).absolute()
+    study = Study(study_path, declared, base, points, digest, at, estimates)
     study.optimal()
+    study.members()
     return study
+
+
+def _estimates(
+    study_path: Path, declared: StudyFile, base: Scenario, root: str | os.PathLike[str] | None
+) -> tuple[Path, ...]:
+    """Files of the estimates that margins are by."""
+    roots, paths = roots_of(study_path, root, base.vehicle.directory), list[Path]()
+    for i, member in enumerate(declared.envelope.member if declared.envelope else (), 1):
+        where = f"[[envelope.member]] {i}: `estimate`"
+        path = roots.named(member.estimate, where)
+        path = path / ESTIMATE_FILE if path.is_dir() else path
+        if not path.is_file():
+            raise InputError(f"{display_path(study_path)}, {where}: the file {display_path(path)} does not exist")
+        paths.append(path)
+    return tuple(paths)
 
 
 def _base(study_path: Path, declared: StudyFile, vehicle: Vehicle, root: str | os.PathLike[str] | None) -> Scenario:
@@ -206,10 +249,12 @@ def _limited_points(study_path: Path, declared: StudyFile, base: Scenario) -> tu
     return tuple(points)
 
 
-def _hash(study_path: Path, declared: StudyFile, base: Scenario) -> str:
-    """SHA-256 over the study, the base entry, all files of the vehicle, and user-defined effects."""
+def _hash(study_path: Path, declared: StudyFile, base: Scenario, estimates: Sequence[Path]) -> str:
+    """SHA-256 over the study, the base entry, all files of the vehicle, estimates, and user-defined effects."""
     digest = hashlib.sha256(declared.model_dump_json().encode())
     digest.update(base.declared.model_dump_json(exclude={"vehicle", "title"}).encode())
     add_vehicle_files(digest, base.vehicle.directory)
+    for path in estimates:
+        digest.update(path.read_bytes())
     add_user_effects(digest)
     return digest.hexdigest()[:HASH_LENGTH]

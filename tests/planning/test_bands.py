@@ -150,3 +150,52 @@ def test_an_estimate_whose_record_is_gone_is_refused_in_one_line(tmp_path: Path,
     errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
     assert len(errors) == 1
     assert "its record `gone` does not exist" in errors[0]
+
+
+@pytest.mark.thorough
+def test_margins_of_a_study_are_of_its_estimates_by_weight(tmp_path: Path):
+    """Between those of either estimate, as their weights say; a point without one stays as declared."""
+    held, _ = fitted()
+    for name, scale in (("hot", 0.06), ("cold", -0.06)):
+        parameters = held.parameters | {
+            "ratio.scale": held.parameters["ratio.scale"].model_copy(update={"value": scale})
+        }
+        changed = {"control_point": "V07T9975", "parameters": parameters, "records": [str(P06)], "inputs": {}}
+        write_estimate(tmp_path / f"{name}.json", held.model_copy(update=changed))
+    study = (SCENARIOS / "studies" / "small_envelope.toml").read_text().partition("[[envelope.boundary]]")[0]
+    study = study.replace("[-12.0, -8.0, -4.0, 0.0]", "[-8.0]").replace("refinements = 1", "bands = true")
+    flights = {}
+    for weights in ({}, {"hot": 3.0}, {"cold": 1.0}, {"hot": 3.0, "cold": 1.0}):
+        members = [f'[[envelope.member]]\nestimate = "{n}.json"\nweight = {w}\n' for n, w in weights.items()]
+        path = tmp_path / f"{'_'.join(weights) or 'declared'}.toml"
+        path.write_text(study.replace("[[envelope.map]]", "".join(members) + "[[envelope.map]]"))
+        assert cli.main(["plan", str(path), "--workers", "1", "--out", str(tmp_path / path.stem)]) == 0
+        planned = json.loads((tmp_path / path.stem / "study.json").read_text())
+        flights[path.stem] = planned["envelope"]["maps"]["alpha"]["flights"][0]
+    margin, at_band = (
+        {name: flight[key]["V07T9975 surface"] for name, flight in flights.items()}
+        for key in ("margins_K", "margins_at_band_K")
+    )
+    assert margin["hot"] < margin["cold"]
+    assert margin["hot_cold"] == pytest.approx(0.75 * margin["hot"] + 0.25 * margin["cold"])
+    assert at_band["hot"] < at_band["hot_cold"] < at_band["cold"]
+    others = [flight["margins_at_band_K"]["WING_LE surface"] for flight in flights.values()]
+    assert max(others) == pytest.approx(min(others))
+
+
+@pytest.mark.parametrize(
+    ("member", "message"),
+    [
+        ('estimate = "gone.json"\n', "[[envelope.member]] 1: `estimate`: the file"),
+        ('estimate = "gone.json"\nweight = 0.0\n', "weight"),
+    ],
+)
+def test_a_member_of_a_study_that_cannot_be_is_refused_in_one_line(tmp_path: Path, capsys, member, message):
+    study = (SCENARIOS / "studies" / "small_envelope.toml").read_text()
+    bands = f"bands = true\n[[envelope.member]]\n{member}"
+    (tmp_path / "study.toml").write_text(study.replace("refinements = 1", bands))
+    assert cli.main(["plan", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out")]) == 2
+    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1
+    assert "study.toml" in errors[0]
+    assert message in errors[0]

@@ -72,9 +72,8 @@ def margin_evaluator(study: Study, forecast: ForecastEvidence | None = None) -> 
         for point, by_manoeuvre in (forecast or {}).items()
         if (root := covariance_root(study.vehicle, point)) is not None
     }
-    envelope = study.declared.envelope
-    bands = envelope is not None and envelope.bands
-    return MarginEvaluator(base_entry(study), study.points, study.base, study.declared.soak_s, informed, bands=bands)
+    soak_s, members = study.declared.soak_s, study.members()
+    return MarginEvaluator(base_entry(study), study.points, study.base, soak_s, informed, members=members)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Margins of one case of an envelope study: its distance from each limit.
 
     surface, bondline  limit less peak temperature [K], with the sigma due to that of the ratio table, or to all that is
-                       uncertain (planning/bands.py)
+                       uncertain (planning/bands.py); with estimates, of their mean
     elevon             travel less the deflection that trims, to either end [deg]; negative: the flight is not trimmed
     table              distance of the flight from either end of each axis of a point's ratio table, where the point is
                        heated; negative: outside, where the ratio is unknown and nothing counts as allowed
@@ -25,7 +25,8 @@ from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.march.history import BAND_PROBABILITY, table_excursions
 from sim_heating.march.mesh_choice import choose_meshes
-from sim_heating.planning.bands import Spread, mixture_quantile, spreads
+from sim_heating.march.point import PointModel
+from sim_heating.planning.bands import Member, Spread, estimated_names, members_of_point, mixture_quantile, spreads
 from sim_heating.planning.envelope.case import BaseEntry, Case, FlownCase
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.ratio_table_modes import PeakSensitivity, covariance_root, peak_sensitivities
@@ -119,7 +120,8 @@ class MarginEvaluator:
     points   : control points with their limits
     scenario : of the base entry, for its effects
     soak_s   : length of the soak after the flight [s]
-    bands    : whether the sigma of a temperature is by all that is uncertain
+    members  : what may be true of the points, where the sigma of a temperature is by all that is uncertain; empty where
+               it is by the ratio tables alone
     informed : control point -> manoeuvre -> root of the table's errors after it (ratio_table_modes.informed_root)
     """
 
@@ -131,9 +133,9 @@ class MarginEvaluator:
         soak_s: float,
         informed: Mapping[str, Mapping[str, FloatArray]] | None = None,
         *,
-        bands: bool = False,
+        members: Sequence[Member] = (),
     ) -> None:
-        self.base, self.points, self.soak_s, self.bands = base, tuple(points), soak_s, bands
+        self.base, self.points, self.soak_s, self.members = base, tuple(points), soak_s, members
         self.informed = informed or {}
         vehicle = base.vehicle
         self.models = [point_of_vehicle(vehicle, p.point, effects=scenario.effects(p.point.name)) for p in points]
@@ -162,7 +164,7 @@ class MarginEvaluator:
             self.points, self.models, conditions_of, marched, flights, strict=True
         ):
             name = limited.point.name
-            others = spreads(model, soaked, with_table=False) if self.bands else []
+            others = _without_table(model, soaked, members_of_point(self.members, name))
             for channel, (kind, found, limit_K) in enumerate(
                 ((SURFACE, peak.surface, limited.surface_K), (BONDLINE, peak.bondline, limited.bondline_K))
             ):
@@ -211,24 +213,58 @@ class MarginEvaluator:
         }
 
 
-def _with_all(margin: Margin, others: Sequence[Spread], channel: int) -> Margin:
+@dataclass(frozen=True)
+class _Uncertain:
+    """Temperatures that may be true, without the error of the ratio table.
+
+    spread    : with its weight among all
+    estimated : whether they are by an estimate;  has_table : whether the error of the table is to be added
+    """
+
+    spread: Spread
+    estimated: bool
+    has_table: bool
+
+
+def _without_table(model: PointModel, flown: Conditions, members: Sequence[Member]) -> list[_Uncertain]:
+    """What may be true of the temperatures of a point, for each member and size of the heating's error."""
+    found = []
+    for m in members:
+        names = () if m.estimate is None else estimated_names(model, m.estimate)
+        has_table = not any(n.startswith("ratio.") for n in names)
+        of_member = spreads(model, flown, m, with_table=False)
+        found += [_Uncertain(replace(s, weight=m.weight * s.weight), bool(names), has_table) for s in of_member]
+    return found
+
+
+def _with_all(margin: Margin, others: Sequence[_Uncertain], channel: int) -> Margin:
     """A margin whose sigma is by the ratio table, with one by all that is uncertain: of its 95 % band, over 1.96.
 
     others : temperatures without the error of the table;  channel : 0 the surface, 1 the bondline
+
+    With estimates the temperature is the mean of the members.
     """
-    peak = int(np.argmax(others[0].mean_K[channel]))
-    high = 0.5 + 0.5 * BAND_PROBABILITY
+    peaks = [int(np.argmax(o.spread.mean_K[channel])) for o in others]
+    T = np.array([o.spread.mean_K[channel, k] for o, k in zip(others, peaks, strict=True)])
+    weights, high = [o.spread.weight for o in others], 0.5 + 0.5 * BAND_PROBABILITY
+    value = float(np.average(T, weights=weights))
 
     def sigma(of_table_K: float) -> float:
         every = [
-            replace(s, mean_K=np.zeros(1), sigma_K=np.hypot(s.sigma_K[channel, peak : peak + 1], of_table_K))
-            for s in others
+            replace(
+                o.spread,
+                mean_K=T[i : i + 1] - value,
+                sigma_K=np.hypot(o.spread.sigma_K[channel, k : k + 1], of_table_K if o.has_table else 0.0),
+            )
+            for i, (o, k) in enumerate(zip(others, peaks, strict=True))
         ]
-        return float(mixture_quantile(every, [s.weight for s in every], high)[0] / ndtri(high))
+        return float(mixture_quantile(every, weights, high)[0] / ndtri(high))
 
-    return replace(
+    by_all = replace(
         margin, sigma=sigma(margin.sigma), sigma_after={name: sigma(s) for name, s in margin.sigma_after.items()}
     )
+    is_estimated = any(o.estimated for o in others)
+    return replace(by_all, value=value, margin=margin.limit - value) if is_estimated else by_all
 
 
 def _table_margins(limited: LimitedPoint, conditions: Conditions) -> dict[str, Margin]:

@@ -4,6 +4,9 @@
 sigmas = 1.0                        # the band about each boundary, in sigma of the temperatures
 bands = true                        # sigma by all that is uncertain, in place of the ratio tables alone
 before = "orbiter"                  # for comparison, this vehicle too: a name, or a directory relative to the study
+[[envelope.member]]                 # estimates in place of what is declared, several where no evidence tells them apart
+estimate = "out/sts2/estimate.json"
+weight = 0.7
 [[envelope.map]]                    # all combinations of values along one axis or two
 name = "alpha"
 [envelope.map.axes]
@@ -141,12 +144,24 @@ class EnvelopeBoundary(Declared):
         return Case(**{**self.fixed, **of_family, self.along: position, self.across: value}, one_sided=self.one_sided)
 
 
+class EnvelopeMember(Declared):
+    """An [[envelope.member]]: an estimate that the evidence cannot tell from the others, with its weight.
+
+    estimate : an estimate.json, or a directory with one, relative to the study
+    weight   : of the members together, that this one is true
+    """
+
+    estimate: str
+    weight: float = Field(default=1.0, gt=0.0, le=1e6)
+
+
 class Envelope(Declared):
     """The [envelope] table.
 
     sigmas              : half the width of the band about a boundary, in sigma of the temperatures
     bands               : whether that sigma is by all that is uncertain, as `run --bands` has it; else by the ratio
                           tables alone
+    member              : estimates from flights, in place of what the vehicle declares of their control points
     station_width       : half the width of a station of the angle-of-attack schedule, on its own axis
     bodyflap_above_mach : Mach number down to which a changed body flap is held
     elevon_arm_m        : distance of the elevons from the plane of symmetry [m]
@@ -161,11 +176,14 @@ class Envelope(Declared):
     bodyflap_above_mach: float = Field(default=8.0, gt=0.0)
     elevon_arm_m: float = Field(default=6.0, gt=0.0)
     refinements: int = Field(default=1, ge=0, le=5)
+    member: list[EnvelopeMember] = Field(default=[])
     map: list[EnvelopeMap] = Field(default=[])
     boundary: list[EnvelopeBoundary] = Field(default=[])
 
     @model_validator(mode="after")
     def _asks_for_something(self) -> Envelope:
+        if self.member and not self.bands:
+            raise ValueError("[[envelope.member]] is for bands; add `bands = true`")
         if not self.map and not self.boundary:
             raise ValueError("has neither map nor boundary; add an [[envelope.map]] or an [[envelope.boundary]]")
         for kind, names in (("maps", [m.name for m in self.map]), ("boundaries", [b.name for b in self.boundary])):
