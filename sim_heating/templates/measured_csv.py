@@ -92,7 +92,7 @@ HEADS = (
         TEMPERATURE,
         rf"(?i)temp|{EAST_ASIAN_TEMPERATURE}|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$",
     ),
-    (TEMPERATURE, r"^T([^a-z]{1,2}|[^A-Za-z].*)?$|_K$"),
+    (TEMPERATURE, r"^T([^a-z]{1,2}|[A-Z]{1,2}[\d_].*|[^A-Za-z].*)?$|_K$"),
 )
 """Patterns of the names of columns, without their units; the first that fits holds."""
 COUNTER = (

@@ -651,9 +651,9 @@ def test_a_layout_whose_unit_is_none_is_refused_by_its_file_and_key(stated: str,
 def test_what_a_layout_states_wrongly_is_named_by_its_key(stated: str, said: str) -> None:
     rows("Time (s),T (degC)", [f"{2 * k},{20 + k}" for k in range(61)])
     Path("rig.toml").write_text(f'format = "logger-layout/1"\n{stated}\n')
-    plate = ("--layer", "copper 3 mm", "--depth", "T=back", "--lamp", "unknown", "--emissivity", "0.9")
-    plate = plate if "depth" not in stated else (*plate[:2], *plate[4:])
-    assert said in refused("new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c")
+    plate = ["--layer", "copper 3 mm", "--lamp", "unknown", "--emissivity", "0.9"]
+    depth = [] if "depth" in stated else ["--depth", "T=back"]
+    assert said in refused("new", "record", "--csv", "t.csv", *plate, *depth, "--layout", "rig.toml", "--out", "c")
 
 
 def test_a_unit_of_a_layout_that_prevails_is_told_by_its_key(capsys: pytest.CaptureFixture[str]) -> None:
@@ -846,7 +846,7 @@ def test_dates_of_east_asian_loggers_are_read(page: str) -> None:
         "cp932": ("日時,温度1[℃]", "年月日時分秒", "午前 午後"),
         "cp949": ("시간,온도 (℃)", "년월일시분초", "오전 오후"),
     }.get(page, ("时间,TC1(℃)", "年月日时分秒", "上午 下午"))
-    y, m, d, h, n, s = signs
+    y, m, d, h, n, s = list(signs)
     forms = (
         lambda i, T: f"2024{y}03{m}05{d} 14{h}22{n}{2 * i:02d}{s},{T:.2f}",
         lambda i, T: f"2024{y}3{m}5{d}14{h}22{n}{2 * i}{s},{T:.2f}",
@@ -884,11 +884,13 @@ def test_tables_of_a_database_one_below_the_other_are_sensors() -> None:
     """InfluxDB writes a table for each field, each with its names; Grafana a row for each reading of a series."""
     head = "#group,false,false,true,true,false\n#datatype,string,long,dateTime:RFC3339,double,string\n"
     head += "#default,_result,,,,\n,result,table,_time,_value,_field\n"
-    influx = [
-        head + rows_of(lambda i, T, k=k: f",,{k},2024-03-05T10:45:{2 * i:02d}Z,{T + k:.2f},TC{k}") for k in (0, 1)
-    ]
-    series = [rows_of(lambda i, T, k=k: f'"TC{k}";"2024-03-05T10:45:{2 * i:02d}Z";{T + k:.2f}') for k in (0, 1)]
-    for text in ("\n".join(influx), '"Series";"Time";"Value"\n' + "".join(series)):
+    influx, series = [], []
+    for k, sensor in enumerate(("TC0", "TC1")):
+        times = [f"2024-03-05T10:45:{2 * i:02d}Z" for i in range(len(CHANNEL_K))]
+        readings = list(zip(times, CHANNEL_K - 273.15 + k, strict=True))
+        influx.append(head + "\n".join(f",,{k},{t},{T:.2f},{sensor}" for t, T in readings))
+        series += [f'"{sensor}";"{t}";{T:.2f}' for t, T in readings]
+    for text in ("\n\n".join(influx), "\n".join(['"Series";"Time";"Value"', *series])):
         Path("t.csv").write_text(text)
         columns = {c.name: c.si for c in read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)}
         np.testing.assert_allclose(columns["TC0"], CHANNEL_K, atol=0.006)
