@@ -306,12 +306,14 @@ def coverage_of(vehicle: Vehicle, folder: Path, flights: Sequence[Flown], member
     return found
 
 
-def of_vehicle(declared: str, number: int, times_flown: int = FLOWN) -> list[dict[str, float]]:
+def of_vehicle(
+    declared: str, number: int, times_flown: int = FLOWN, times_fitted: int = FITTED
+) -> list[dict[str, float]]:
     """Coverage and widths of the flights of a vehicle that were not fitted."""
     rng = np.random.default_rng([SEED, DECLARED.index(declared), number])
     vehicle = Vehicle.drawn(rng, declared)
     with TemporaryDirectory() as name:
-        fitted, predicted = [Path(name) / f"fitted_{k}" for k in range(FITTED)], Path(name) / "predicted"
+        fitted, predicted = [Path(name) / f"fitted_{k}" for k in range(times_fitted)], Path(name) / "predicted"
         for folder in fitted:
             vehicle.fly(rng, folder, 1)
         member = fitted_member(fitted, Path(name) / "estimate")

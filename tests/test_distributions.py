@@ -118,24 +118,6 @@ def test_every_command_that_the_paper_of_the_project_names_is_a_benchmark():
     assert 800 <= len(re.sub(r"<!--.*?-->|---.*?---", "", text, flags=re.DOTALL).split()) <= 1200
 
 
-@pytest.fixture(scope="module")
-def installed(built: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Environment of a process that has the wheel, and no checkout."""
-    with zipfile.ZipFile(built[".whl"]) as wheel:
-        wheel.extractall(folder := tmp_path_factory.mktemp("site"))
-    return {**os.environ, "PYTHONPATH": str(folder)}
-
-
-@pytest.mark.thorough
-def test_examples_by_name_run_from_the_wheel(installed: dict[str, str], tmp_path: Path) -> None:
-    """In an empty folder, without a compiled kernel."""
-    for arguments in (["validate", "popu_mach20", "practice/p08"], ["examples", "--out", "mine"]):
-        command = [sys.executable, "-m", "sim_heating", *arguments]
-        done = subprocess.run(command, cwd=tmp_path, env=installed, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-    assert (tmp_path / "mine" / "scenarios" / "popu_mach20.toml").is_file()
-
-
 @pytest.mark.thorough
 def test_the_wheel_says_that_it_is_typed(built: dict[str, Path]) -> None:
     with zipfile.ZipFile(built[".whl"]) as wheel:

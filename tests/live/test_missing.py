@@ -17,9 +17,10 @@ from sim_heating.live.spec import Link, make_link
 from sim_heating.live.state import State
 from sim_heating.live.watch.missing import MOST_DEATHS
 from tests.live.links import messages_of, part_of_record
-from tests.support.few_candidates import search_among
+from tests.support.few_candidates import weighing_among
 from tests.support.paths import PRACTICE
 
+FEW = ("conductivity", "heat-capacity", "coating-thickness", "emissivity", "time-skew")
 DIED = "the process that weighs candidates died; the link goes on"
 
 
@@ -52,7 +53,9 @@ def state_when(engine: LinkEngine, shown, within_s: float = 900.0) -> State:
 
 
 @pytest.mark.thorough
-def test_an_alarm_has_its_candidates_weighed_in_another_process(cold, tmp_path):
+def test_an_alarm_has_its_candidates_weighed_in_another_process(cold, tmp_path, monkeypatch):
+    """Among a few; `python -m benchmarks practice` closes the whole record among all, and lists what is found."""
+    weighing_among(monkeypatch, *FEW)
     engine = followed(cold, tmp_path)
     try:
         assert "candidates are being weighed" in engine.state().missing.text
@@ -90,7 +93,7 @@ def test_a_process_that_dies_is_one_remark_and_another_one_weighs(cold, tmp_path
 @pytest.mark.thorough
 def test_record_grown_since_the_alarm_is_weighed_again(tmp_path, monkeypatch):
     """Among few candidates; when it is weighed does not depend on how many there are."""
-    search_among(monkeypatch, "conductivity", "emissivity")
+    weighing_among(monkeypatch, "conductivity", "emissivity")
     record = part_of_record(PRACTICE / "p09", 0.0, 240.0, tmp_path / "longer")
     data = {"format": "link/1", "records": [str(record)], "source": [{"kind": "replay", "speed": 0.0}]}
     made = make_link(data, record.parent / "link.toml")
@@ -117,13 +120,16 @@ def test_record_grown_since_the_alarm_is_weighed_again(tmp_path, monkeypatch):
 
 @pytest.mark.thorough
 def test_a_step_at_the_surface_alone_is_no_drift_of_the_thermocouple_there(tmp_path):
-    record = part_of_record(PRACTICE / "p04", 800.0, 1215.0, tmp_path / "step")
+    record = part_of_record(PRACTICE / "p04", 1000.0, 1215.0, tmp_path / "step")
     data = {"format": "link/1", "records": [str(record)], "source": [{"kind": "replay", "speed": 0.0}]}
     engine = LinkEngine(make_link(data, record.parent / "link.toml"))
-    for message in messages_of(engine.link):
-        engine.take(message)
-        engine.advance()
-    state = engine.state()
+    try:
+        for message in messages_of(engine.link):
+            engine.take(message)
+            engine.advance()
+        state = engine.state()
+    finally:
+        engine.stop()
     assert state.missing.alarm
     assert state.removed == []
     assert "undecided whether" in state.missing.text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import pytest
@@ -28,6 +29,7 @@ from sim_heating.closure.search.trials.trial_fit import (
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
+from sim_heating.live.watch import missing
 
 
 def search_among(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
@@ -43,6 +45,21 @@ def search_among(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
 
     monkeypatch.setattr(search, "candidates", few)
     monkeypatch.setattr(search, "fit_changes", without_ends)
+
+
+def weighing_among(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
+    """Let the process that weighs candidates for a link try effects of these names alone."""
+    monkeypatch.setattr(missing, "weigh", partial(_weigh_among, names))
+
+
+def _weigh_among(names: Sequence[str], *given: Any) -> missing.Weighed:
+    """What the other process does: it is spawned, and has nothing of what this one has set."""
+    with pytest.MonkeyPatch.context() as here:
+        search_among(here, *names)
+        return _weigh(*given)
+
+
+_weigh = missing.weigh
 
 
 def searched_among(record: Record, names: Sequence[str]) -> SearchResult:
