@@ -302,10 +302,9 @@ def mutant(seed: int) -> Mutant:
     fault = rng.choice(FAULTS) if rng.random() < 0.04 else ""
     if fault:
         row = rng.randrange(5, ROWS - 5)
+        full = next(cell for cell in cells[1][4:] if cell)
         at = len(all_cells) - (2 if beside in ("humidity", "status") else 1)
-        all_cells[at][row] = {"two numbers": f"{cells[1][4]} 30", "two signs": "1.2.3", "letters amid digits": "12x4"}[
-            fault
-        ]
+        all_cells[at][row] = {"two numbers": f"{full} 30", "two signs": "1.2.3", "letters amid digits": "12x4"}[fault]
     rows = [line(list(r)) for r in zip(*all_cells, strict=True)]
     if rng.random() < 0.1 and separator not in ("  ",):
         rows = [r + separator for r in rows]

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -47,7 +48,15 @@ from sim_heating.heating.recorded.cells.numbers import (
     require_one_unit,
     shown_cell,
 )
-from sim_heating.heating.recorded.cells.text import decoded, is_clock, is_number, rows_block, text_block
+from sim_heating.heating.recorded.cells.text import (
+    EAST_ASIAN_TEMPERATURE,
+    EAST_ASIAN_TIME,
+    decoded,
+    is_clock,
+    is_number,
+    rows_block,
+    text_block,
+)
 from sim_heating.templates.loggers.files import kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import (
     FLUX,
@@ -71,7 +80,7 @@ HEADS = (
     (
         TIME,
         r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow)([^a-z]|$)"
-        r"|(?-i:^t$)|^x_value$",
+        rf"|{EAST_ASIAN_TIME}|(?-i:^t$)|^x_value$",
     ),
     (
         TIME,
@@ -79,8 +88,11 @@ HEADS = (
         r"|tiempo|tempo|tijd)([^a-z].*)?$",
     ),
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
-    (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
-    (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
+    (
+        TEMPERATURE,
+        rf"(?i)temp|{EAST_ASIAN_TEMPERATURE}|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$",
+    ),
+    (TEMPERATURE, r"^T([^a-z]{1,2}|[A-Z]{1,2}[\d_].*|[^A-Za-z].*)?$|_K$"),
 )
 """Patterns of the names of columns, without their units; the first that fits holds."""
 COUNTER = (
@@ -94,6 +106,8 @@ UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigm
 """Pattern of the names of columns that hold the uncertainty of others."""
 DIFFERENCE = r"(?i)(^|[^a-z])(delta|diff(erence)?|rise|change)([^a-z]|$)|[Δ∆]|^d[Tt]([^a-z].*)?$"
 """Pattern of the names of columns that hold differences of temperatures, which have no zero."""
+UNIT_COLUMN = r"(?i)(.*[ _.])?(?:units?|einheit)"
+"""Pattern of the name of a column of units; `Ch1_Unit` is that of `Ch1_Value`."""
 FACTOR = r"(?i)(.*?) ?([x*\u00d7] ?10+)"
 """Pattern of a name that ends in the factor of its numbers, which is a part of its unit."""
 REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|avg|smp|min|max|last|ave\.?"
@@ -108,7 +122,11 @@ DAY_NUMBERS = (36526.0, 73050.0)
 """Days of a spreadsheet, 2000 to 2099."""
 SHORTEST_STEP_S = 1e-3
 EXAMPLE = "--time COLUMN"
+DIGITS, TINY = 12, 1e-300
+"""Digits of a converted number; the least magnitude that is not taken for 0."""
 SHOWN_ROWS = 5
+PROBED_CELLS = 200
+"""Cells at each end of a column by which it is found what it holds."""
 NAMED_ROWS = 5
 """Rows that a message about several readings names."""
 
@@ -139,8 +157,11 @@ class CsvColumn:
         assert scale is not None  # a unit is checked when it is chosen
         if scale == (1.0, 0.0):
             return self.values
-        distinct, which = np.unique(self.values, return_inverse=True)  # a recorder has few of them
-        return np.array([float(f"{scale.factor * v + scale.offset:.12g}") for v in distinct])[which]
+        values = scale.factor * self.values + scale.offset
+        # tens are exact in this range: the quotient is the number nearest to the one with twelve digits
+        magnitude = np.floor(np.log10(np.maximum(np.abs(values), TINY)))
+        tens = 10.0 ** np.clip(DIGITS - 1.0 - magnitude, 0.0, 22.0)
+        return np.rint(values * tens) / tens
 
 
 @dataclass(frozen=True)
@@ -343,12 +364,14 @@ def _with_unit_column(block: Block) -> Block:
 
     raises : InputError where such a column holds several units
     """
-    called = [k for k, n in enumerate(block.names) if re.fullmatch(r"(?i)(.*[ _])?units?|einheit", n.strip())]
+    called = {k: m[1] or "" for k, n in enumerate(block.names) if (m := re.fullmatch(UNIT_COLUMN, n.strip()))}
     stated = list(block.units)
-    for k in called:
+    for k, stem in called.items():
         unit = _unit_in_cells(block, k)
-        if len(called) > 1:
-            stated[k - 1] = stated[k - 1] or unit
+        partner = next((j for j, n in enumerate(block.names) if stem and j != k and n.strip().startswith(stem)), None)
+        if partner is not None or len(called) > 1:
+            reading = k - 1 if partner is None else partner
+            stated[reading] = stated[reading] or unit
         elif converted(unit, "K"):
             stated = [other or (unit if _lacks_unit(n) else "") for other, n in zip(stated, block.names, strict=True)]
     return replace(block, units=tuple(stated))
@@ -413,6 +436,8 @@ def _columns_of_a_long_table(block: Block) -> tuple[list[int], int, int] | None:
             numbers.append(k)
         if holds == "text" and _may_name_sensors(block, k):
             labels.append(k)
+    called = [k for k in numbers if re.fullmatch(r"(?i)_?values?", block.names[k])]
+    numbers = called or numbers  # beside a reading may stand the number of its table
     return (times, labels[0], numbers[0]) if len(labels) == len(numbers) == 1 and times else None
 
 
@@ -424,7 +449,7 @@ def _cells_hold(cells: Sequence[str]) -> str:
 
 
 def _may_name_sensors(block: Block, k: int) -> bool:
-    words = r"(?i)sensor|channel|name|id|probe|tc|thermo|point|location|signal|variable|tag"
+    words = r"(?i)sensor|channel|name|id|probe|series|field|metric|tc|thermo|point|location|signal|variable|tag"
     names = set(block.column(k))
     return re.search(words, block.names[k]) is not None and 2 <= len(names) <= max(2, len(block.lines) // 3)
 
@@ -508,7 +533,7 @@ def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chos
 
 
 def _is_partner(name: str) -> bool:
-    return re.search(r"(?i)date|datum|time|zeit", name) is not None
+    return re.search(rf"(?i)date|datum|time|zeit|{EAST_ASIAN_TIME}", name) is not None
 
 
 def _is_all_digits(cell: str) -> bool:
@@ -522,10 +547,11 @@ def _clock_word(unit: str) -> str | None:
 
 
 def _mostly(cells: Sequence[str], holds: object) -> bool:
-    full = [c for c in cells if c]
-    if not callable(holds) or not full:
+    few = len(cells) <= 2 * PROBED_CELLS
+    ends = (cells,) if few else (cells, reversed(cells))
+    probe = [cell for end in ends for cell in islice(filter(None, end), None if few else PROBED_CELLS)]
+    if not callable(holds) or not probe:
         return False
-    probe = full if len(full) <= 400 else [*full[:200], *full[-200:]]
     return sum(bool(holds(c)) for c in probe) > 0.5 * len(probe)
 
 
@@ -1073,8 +1099,8 @@ def _with_stated_unit(path: Path, column: CsvColumn, unit: str, is_declared: boo
         raise InputError(f"{option} {unit}: {problem}")
     if is_declared and column.unit and converted(column.unit, si) != converted(unit, si):
         raise InputError(
-            f"{display_path(path)}, column {column.name}: the file says {column.unit}, and --layout {unit}; correct "
-            "the layout"
+            f"--layout: unit of column {column.name}: `{unit}`, and {display_path(path)} says {column.unit}; correct "
+            "one of the two"
         )
     _warn_of_other_unit(path, column, unit, option)
     return replace(column, unit=unit, reason=f"{column.reason}; {option}")

@@ -51,6 +51,14 @@ def test_a_unit_of_two_readings_is_refused() -> None:
     assert known_unit("1/s.m") is None
 
 
+def test_a_share_is_a_unit_alone_and_no_factor_of_another() -> None:
+    """`%s` would be a hundredth of a second, and `%rh`, a humidity, 1e-27 of an hour."""
+    for text in ("%s", "% s", "s.%", "percent s", "ppm s", "%rh", "rh", "%K", "K%", "ppm K", "%W/m2", "W/m2 %"):
+        assert known_unit(text) is None, text
+    assert known_unit("%") == known_unit("percent") is not None
+    assert converted("%/s", "1/s") is not None
+
+
 @pytest.mark.parametrize(
     ("head", "name", "unit"),
     [

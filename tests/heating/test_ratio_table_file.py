@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, UnusualWarning
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from tests.support.paths import TILE
 
@@ -93,11 +93,25 @@ def test_a_damaged_cell_or_column_name_is_reported(tmp_path: Path, old: str, new
 
 
 def test_a_table_of_negative_ratios_alone_is_refused(tmp_path: Path) -> None:
-    """A flow may cool a node of a revised table, not a whole vehicle."""
     table = read_ratio_table(TILE)
     write_ratio_table(tmp_path / "a.csv", replace(table, ratio=-table.ratio))
     with pytest.raises(InputError, match=r"a.csv, column ratio: no ratio is above 0, and the least is -0\."):
         read_ratio_table(tmp_path / "a.csv")
+
+
+def test_a_node_of_a_negative_ratio_is_refused_by_its_row(tmp_path: Path) -> None:
+    """A hot wall gives heat away, with the same film coefficient; one below 0 is a slip of the sign."""
+    text = "\n".join(lines()).replace("30,0,5,5,7.5,0.09150,", "30,0,5,5,7.5,-0.09150,")
+    assert "row 7, column ratio: -0.0915 is not a ratio of film coefficients, which are not negative" in problem(
+        tmp_path, text.splitlines()
+    )
+
+
+def test_an_estimate_near_zero_may_be_negative_and_is_told(tmp_path: Path) -> None:
+    text = "\n".join(lines()).replace("30,0,5,5,7.5,0.09150,0.005", "30,0,5,5,7.5,-0.001,0.005")
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.warns(UnusualWarning, match=r"a.csv, column ratio: 1 of \d+ nodes are negative, down to -0.001"):
+        assert read_ratio_table(tmp_path / "a.csv").ratio.min() == -0.001
 
 
 def test_inconsistent_axes_and_ratios_are_rejected() -> None:

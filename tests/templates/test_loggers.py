@@ -362,7 +362,9 @@ def test_readings_that_are_stated_as_lost_are_lost_samples() -> None:
     assert np.isnan(T).tolist() == [False, True, False, True, False]
 
 
-@pytest.mark.parametrize("cell", ["21,5 kelvin 30", "n/a 30", "NaN 30", "null 30", "--- 30"])
+@pytest.mark.parametrize(
+    "cell", ["21,5 kelvin 30", "n/a 30", "NaN 30", "null 30", "--- 30", "OL 30", "OVER 30", "Open TC 30"]
+)
 def test_a_cell_of_several_values_is_no_lost_sample(cell: str) -> None:
     path = rows("Time (s);TC1", [f"{2 * k};{300 + k},5 kelvin" for k in range(20)] + [f"40;{cell}", "42;320,5 kelvin"])
     with pytest.raises(InputError, match=f"row 22, column TC1: `{cell}` is no number in the layout"):
@@ -612,7 +614,7 @@ def test_a_layout_is_kept_for_the_next_files_of_the_recorder() -> None:
     assert "no rows of numbers" in refused(*by_other)
     Path("rig.toml").write_text(layout)
     rows("millis;T_front", ["0;20,5", "2000;20,5"])
-    assert "--layout: column T_back: there is no such column" in refused(
+    assert "rig.toml, [column] 1: `name`: `T_back`: there is no such column in t.csv" in refused(
         "new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c"
     )
     Path("rig.toml").write_text(Path("rig.toml").read_text().replace("decimal", "decimals"))
@@ -631,6 +633,37 @@ def test_a_layout_is_kept_for_the_next_files_of_the_recorder() -> None:
 def test_a_layout_whose_unit_is_none_is_refused_by_its_file_and_key(stated: str, said: str) -> None:
     Path("rig.toml").write_text(f'format = "logger-layout/1"\n{stated}\n')
     assert said in refused("validate", "rig.toml")
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ('time = "Zeit"', "rig.toml: `time`: `Zeit`: there is no such column in t.csv"),
+        ('time_unit = "hh:mm"', "rig.toml: `time_unit`: `hh:mm`: `0` in t.csv, column Time is no such clock"),
+        ('[[column]]\nname = "T"\nunit = "K"', "rig.toml, [column] 1: `unit`: `K`, and t.csv says degC; correct one"),
+        ('[[column]]\nname = "T"\ndepth = "9mm"', "rig.toml, [column] 1: `depth`: `9mm`: lies outside the stack"),
+        (
+            'thermocouple = "K"\nreference_junction = "25degC"',
+            "rig.toml: `thermocouple`: `K`: no column of t.csv states",
+        ),
+    ],
+)
+def test_what_a_layout_states_wrongly_is_named_by_its_key(stated: str, said: str) -> None:
+    rows("Time (s),T (degC)", [f"{2 * k},{20 + k}" for k in range(61)])
+    Path("rig.toml").write_text(f'format = "logger-layout/1"\n{stated}\n')
+    plate = ["--layer", "copper 3 mm", "--lamp", "unknown", "--emissivity", "0.9"]
+    depth = [] if "depth" in stated else ["--depth", "T=back"]
+    assert said in refused("new", "record", "--csv", "t.csv", *plate, *depth, "--layout", "rig.toml", "--out", "c")
+
+
+def test_a_unit_of_a_layout_that_prevails_is_told_by_its_key(capsys: pytest.CaptureFixture[str]) -> None:
+    rows("Time (s),T (degC)", [f"{2 * k},{20 + k}" for k in range(61)])
+    Path("rig.toml").write_text('format = "logger-layout/1"\ntime_unit = "min"\n')
+    plate = ("--layer", "copper 3 mm", "--depth", "T=back", "--lamp", "unknown", "--emissivity", "0.9")
+    warnings.simplefilter("always")
+    assert main(["new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c", "--json"]) == 0
+    (told,) = [w for w in json.loads(capsys.readouterr().out)["warnings"] if "column Time" in w]
+    assert "the file says s, `time_unit` in rig.toml says min; read as min. Leave `time_unit` in rig.toml out" in told
 
 
 def test_a_layout_states_the_unit_of_fluxes_that_state_none() -> None:
@@ -690,6 +723,21 @@ def rows_of(form: Callable[[int, float], str]) -> str:
 @pytest.mark.parametrize(
     ("head", "form"),
     [
+        (
+            '"ALMEMO 2590-4S";;;\n"Datum:";"Zeit:";"M00: TC1"\n"";"";"°C"\n',
+            lambda i, T: f'"05.03.24";"10:45:{2 * i:02d}";' + f'"{T:.2f}"'.replace(".", ","),
+        ),
+        (
+            "Vendor ,Graphtec Corporation\nModel   ,GL840\nSampling interval,2s\nTotal data points,12\n"
+            "Start time,2024-03-05,10:45:00\nEnd time,2024-03-05,10:45:22\nAMP settings\nCH,Signal name,Input\n"
+            "CH1,front,TEMP,TC_K,Off\nLogic/Pulse,Off\nData\nNumber,Date&Time,ms,CH1,AL1-10\nNO.,Time,ms,degC,A12345\n",
+            lambda i, T: f"{i + 1},2024/03/05 10:45:{2 * i:02d},0,+ {T:.2f},LLLL",
+        ),
+        (
+            "EL-USB-TC,Time,Celsius(°C),High Alarm,Serial Number\n",
+            lambda i, T: f"{i + 1},05/03/2024 10:45:{2 * i:02d},{T:.2f}" + ",300,010012345" * (i == 0),
+        ),
+        ("TIME,DATE,CH1 C,DIO,TOTAL\n", lambda i, T: f"10:45:{2 * i:02d},03/05/24,{T:.2f},255,0"),
         ("Temps (s);Température (°C)\n", lambda i, T: f"{2 * i};{T:.2f}".replace(".", ",")),
         ("% rig 3\n% time[s] TC1[degC]\n", lambda i, T: f"{2 * i} {T:.2f}"),
         ('"Timestamp","TZ","1TC (degC)"\n', lambda i, T: f"2024/05/13 10:45:{2 * i:02d}.000,n,{T:.2f}"),
@@ -727,6 +775,10 @@ def rows_of(form: Callable[[int, float], str]) -> str:
         ("GMT,TC1 (C)\n", lambda i, T: f"134/10:45:{2 * i:02d}.000,{T:.2f}"),
     ],
     ids=[
+        "ALMEMO",
+        "Graphtec with its header",
+        "Lascar with constants in the first row",
+        "Fluke Hydra with a total",
         "French",
         "comment of MATLAB",
         "dataTaker",
@@ -780,6 +832,87 @@ def test_a_row_of_json_lines_that_is_no_object_is_named() -> None:
 def test_columns_of_json_are_read() -> None:
     Path("t.json").write_text(json.dumps({"time_s": list(range(12)), "TC1_K": CHANNEL_K.tolist()}))
     np.testing.assert_allclose(read_measured_csv(Path("t.json")).of_kind(TEMPERATURE)[0].si, CHANNEL_K)
+
+
+def of_noon(i: int, T: float, halves: str) -> str:
+    """A row 12 s before noon and later, with the word of a half of the day before the time."""
+    s = 43188 + 2 * i
+    return f"2024/3/5 {halves.split()[s >= 43200]} {12 if s >= 43200 else 11}:{s // 60 % 60:02d}:{s % 60:02d},{T:.2f}"
+
+
+@pytest.mark.parametrize("page", ["utf-8", "gb18030", "cp932", "cp949"])
+def test_dates_of_east_asian_loggers_are_read(page: str) -> None:
+    head, signs, halves = {
+        "cp932": ("日時,温度1[℃]", "年月日時分秒", "午前 午後"),
+        "cp949": ("시간,온도 (℃)", "년월일시분초", "오전 오후"),
+    }.get(page, ("时间,TC1(℃)", "年月日时分秒", "上午 下午"))
+    y, m, d, h, n, s = list(signs)
+    forms = (
+        lambda i, T: f"2024{y}03{m}05{d} 14{h}22{n}{2 * i:02d}{s},{T:.2f}",
+        lambda i, T: f"2024{y}3{m}5{d}14{h}22{n}{2 * i}{s},{T:.2f}",
+        lambda i, T: of_noon(i, T, halves),
+    )
+    for form in forms:
+        Path("t.csv").write_bytes(f"{head}\n{rows_of(form)}".encode(page))
+        measured = read_measured_csv(Path("t.csv"))
+        np.testing.assert_allclose(measured.of_kind(TEMPERATURE)[0].si, CHANNEL_K, atol=0.006)
+        np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
+
+
+def test_objects_and_lists_in_rows_of_json_are_columns() -> None:
+    """Of a value with its unit, whichever stands first, the unit is that of the value."""
+    C = (CHANNEL_K - 273.15).tolist()
+    texts = {
+        "tc.TC1": [{"time_s": 2.0 * i, "tc": {"TC1": T, "TC2": T}} for i, T in enumerate(CHANNEL_K)],
+        "tc.1": [{"time_s": 2.0 * i, "tc": [T, T]} for i, T in enumerate(CHANNEL_K)],
+        "sensors.TC1.value": [
+            {"time_s": 2.0 * i, "sensors": {"TC1": {"unit": "degC", "value": T}, "TC2": {"unit": "K", "value": 293.0}}}
+            for i, T in enumerate(C)
+        ],
+    }
+    for name, rows in texts.items():
+        Path("t.jsonl").write_text("\n".join(map(json.dumps, rows)))
+        columns = {c.name: c for c in read_measured_csv(Path("t.jsonl")).of_kind(TEMPERATURE)}
+        assert len(columns) == 2
+        np.testing.assert_allclose(columns[name].si, CHANNEL_K)
+    Path("t.json").write_text(json.dumps({"title": "run", "data": texts["tc.TC1"]}))
+    assert len(read_measured_csv(Path("t.json")).of_kind(TEMPERATURE)) == 2
+
+
+@pytest.mark.filterwarnings("ignore:.*no unit is stated")
+def test_tables_of_a_database_one_below_the_other_are_sensors() -> None:
+    """InfluxDB writes a table for each field, each with its names; Grafana a row for each reading of a series."""
+    head = "#group,false,false,true,true,false\n#datatype,string,long,dateTime:RFC3339,double,string\n"
+    head += "#default,_result,,,,\n,result,table,_time,_value,_field\n"
+    influx, series = [], []
+    for k, sensor in enumerate(("TC0", "TC1")):
+        times = [f"2024-03-05T10:45:{2 * i:02d}Z" for i in range(len(CHANNEL_K))]
+        readings = list(zip(times, CHANNEL_K - 273.15 + k, strict=True))
+        influx.append(head + "\n".join(f",,{k},{t},{T:.2f},{sensor}" for t, T in readings))
+        series += [f'"{sensor}";"{t}";{T:.2f}' for t, T in readings]
+    for text in ("\n\n".join(influx), "\n".join(['"Series";"Time";"Value"', *series])):
+        Path("t.csv").write_text(text)
+        columns = {c.name: c.si for c in read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)}
+        np.testing.assert_allclose(columns["TC0"], CHANNEL_K, atol=0.006)
+        np.testing.assert_allclose(columns["TC1"], CHANNEL_K + 1.0, atol=0.006)
+
+
+def test_a_row_of_data_that_is_longer_than_the_others_is_not_lost() -> None:
+    Path("t.csv").write_text("Time (s),TC1 (C)\n0,20.0,1\n2,20.1\n4,20.2\n6,20.3\n")
+    with pytest.raises(InputError, match=r"t.csv, row 2: `0, 20.0, 1` does not have 2 cells as the other rows"):
+        read_measured_csv(Path("t.csv"))
+
+
+def test_a_list_that_differs_in_length_names_no_sensor() -> None:
+    rows = [{"time_s": 2.0 * i, "TC_K": T, "events": [1] * (i % 3)} for i, T in enumerate(CHANNEL_K)]
+    Path("t.jsonl").write_text("\n".join(map(json.dumps, rows)))
+    assert [c.name for c in read_measured_csv(Path("t.jsonl")).of_kind(TEMPERATURE)] == ["TC"]
+
+
+def test_rows_without_a_number_of_their_own_are_shown() -> None:
+    Path("t.txt").write_text("ZEIT DATUM: 05.03.24\n" + rows_of(lambda i, T: f"10:45:{2 * i:02d} 00: {T:.1f} °C01: x"))
+    with pytest.raises(InputError, match=r"row 13, `10:45:22, 00:, .*`, is none. Write a time and temperatures alone"):
+        read_measured_csv(Path("t.txt"))
 
 
 @pytest.mark.parametrize("read", [read_measured_csv, read_fields])

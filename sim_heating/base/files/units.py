@@ -5,7 +5,7 @@
 rad counts as a base unit, so an angle is not a plain number. Every reader of the project takes units from here:
 `(deg. C)`, `BTU/ft2-s`, `W per sq. m`, `W m-2`, `W/m2K`. A text that is not understood is no unit, never another one.
 What stands behind a slash without a point between divides: `W/m2K` is W/(m2 K). A letter that stands for a temperature
-is one (`C`, `F`, `R`), and `mil` is a length.
+is one (`C`, `F`, `R`), and `mil` is a length. A share (`%`, `ppm`) is a unit alone, and no factor of another one.
 """
 
 from __future__ import annotations
@@ -64,6 +64,8 @@ LONGEST = 100
 POWER = r"(?:(?:\*\*|\^)?[+-]?[0-9]{1,2}|(?:\*\*|\^)\([+-]?[0-9]{1,2}\))(?!\w|\.[0-9])"
 UNIT_SYNTAX = re.compile(rf"(?:(?:[^\W\d]|[°%])++(?:{POWER})?|\)(?:{POWER})?|(?<![\w.])1(?= */)|[ .*/(])+")
 """Names with powers of at most two digits, parentheses, products, quotients, 1 over one: all that pint is given."""
+LATEST_PREFIXES = ("ronto", "ronna", "quecto", "quetta")
+"""Prefixes of 2022, which no logger writes: `rh` is a humidity, and no time."""
 AMBIGUOUS = re.compile(r"/ *[^()/ .*]+ *[.*] *[^ /]")
 """A product after a quotient, `1/s.m`, which may belong to the numerator or the denominator."""
 
@@ -146,6 +148,8 @@ def known_unit(name: str) -> Scale | None:
     registry = _registry()
     try:
         unit = registry.parse_units(_pint_syntax(plain))
+        if not _is_written(registry, unit):
+            return None
         zero, unity = (registry.Quantity(v, unit).to_base_units() for v in (0.0, 1.0))
         offset = float(zero.magnitude)
         # over a long span, so that an offset takes no digits of the factor
@@ -155,6 +159,16 @@ def known_unit(name: str) -> Scale | None:
     except Exception:  # pint raises its own, Python's tokenizer others
         return None
     return scale if is_usable(scale) else None
+
+
+def _is_written(registry: pint.UnitRegistry[Any], unit: Any) -> bool:
+    """Whether anyone writes such a unit. `%s`, `ppm K` and `%rh` are a share times a unit; `%/s` is a rate."""
+    powers = dict(dimension_of(dict(registry.Quantity(1.0, unit).unit_items())))
+    if any(name.startswith(LATEST_PREFIXES) for name in powers):
+        return False
+    sides = ([n for n, power in powers.items() if power > 0.0], [n for n, power in powers.items() if power < 0.0])
+    shares = {n for n in powers if not dict(registry.Quantity(1.0, n).to_base_units().unit_items())}
+    return all(len(side) < 2 or shares.isdisjoint(side) for side in sides)
 
 
 def is_usable(scale: Scale) -> bool:

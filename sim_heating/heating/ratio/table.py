@@ -39,6 +39,8 @@ from sim_heating.heating.reference.recovery import RECOVERIES
 
 LARGEST_SIGMA, SMALLEST_SIGMA = 10.0, 1e-5
 """Largest sigma over the largest ratio of a table, and smallest median of sigma over ratio."""
+NEGATIVE_SIGMAS = 3.0
+"""A node that is negative by more than this many of its sigma is no estimate of a film coefficient, which is not."""
 LEAST_RATIO, MOST_RATIO = 1e-5, 1e3
 """Largest ratio of a table, at least: sheltered places have 1e-3 of the stagnation point's. Largest constant ratio of a
 record: shocks that meet give 20, and a reference of a few metres is a tenth of one of centimetres."""
@@ -107,7 +109,8 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
               [-]; without a deflection the table has one node in it, at 0 deg
     returns : the table on its grid, header included
     raises  : InputError with row and column: not a number, a value outside the limits of its column, a negative sigma,
-              an unknown column, a repeated or missing node; nodes, ratios or sigma in another unit
+              a ratio below 0 by more than its uncertainty, an unknown column, a repeated or missing node; nodes, ratios
+              or sigma in another unit
     """
     return table_of_text(Path(path), read_text(path))
 
@@ -145,6 +148,15 @@ def _remarks(table: RatioTable, where: str) -> list[str]:
     largest = float(np.max(table.ratio))
     if largest > 0.0 and not RATIOS[0] <= largest <= RATIOS[1]:
         remarks.append(f"{where}, column ratio: the largest is {largest:g} ({RATIOS[0]:g} to {RATIOS[1]:g} is usual)")
+    if negative := int(np.count_nonzero(table.ratio < 0.0)):
+        at = np.unravel_index(int(np.argmin(table.ratio)), table.ratio.shape)
+        names = ", ".join(
+            f"{n} {a[i]:g}" for n, a, i in zip(RATIO_VARIABLES, table.axes, at, strict=True) if len(a) > 1
+        )
+        remarks.append(
+            f"{where}, column ratio: {negative} of {table.ratio.size} nodes are negative, down to {table.ratio[at]:g} "
+            f"({names}); no film coefficient is"
+        )
     return remarks
 
 
@@ -219,6 +231,10 @@ def _column_problems(table: CsvTable) -> list[str]:
     rule = f"is not a ratio of film coefficients (to {highest:g})"
     problems += table.problems_where_not("ratio", table["ratio"] <= highest, rule)
     least, largest = float(table["ratio"].min()), float(table["ratio"].max())
+    sigma = table.columns.get("sigma", np.zeros(len(table)))
+    if least < 0.0 < largest:
+        rule = "is not a ratio of film coefficients, which are not negative; check the sign"
+        problems += table.problems_where_not("ratio", table["ratio"] >= -NEGATIVE_SIGMAS * np.abs(sigma), rule)
     if least < 0.0 and largest <= 0.0:
         text = f"no ratio is above 0, and the least is {least:g}; film coefficients are not negative, check the sign"
         problems.append(f"{display_path(table.path)}, column ratio: {text}")

@@ -15,13 +15,17 @@ depth = "back"
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from sim_heating.base.files import Declared, read_toml, toml_text, write_text_atomic
+from sim_heating.base.errors import reworded
+from sim_heating.base.files import Declared, display_path, read_toml, toml_text, write_text_atomic
 from sim_heating.base.files.schema import schema_line
 from sim_heating.base.files.units import converted
 from sim_heating.heating.recorded.cells.clocks import CLOCKS
@@ -34,6 +38,10 @@ EXAMPLES = {
     TIME: f"one of {', '.join(('s', 'ms', 'min', 'h', 'us', *CLOCKS))}", TEMPERATURE: "K, degC or degF", FLUX: "W/m2"
 }  # fmt: skip
 """Kind of a column -> units that a message names."""
+OPTIONS = (
+    "dates", "sheet", "time", "time_unit", "temperature_unit", "flux_unit", "thermocouple", "reference_junction"
+)  # fmt: skip
+"""Keys that are options of the command too, and that a message may name."""
 KIND_OF_KEY = {"time_unit": TIME, "temperature_unit": TEMPERATURE, "flux_unit": FLUX}
 
 
@@ -122,3 +130,40 @@ def write_layout(path: Path, layout: LoggerLayout, source: str, depths: Mapping[
     kept = layout.model_copy(update={"column": columns, "title": layout.title or f"as {source}"})
     data = {"format": FORMAT} | kept.model_dump(exclude_none=True, exclude_defaults=True)
     write_text_atomic(path, f"{schema_line('logger_layout')}\n{toml_text(data)}")
+
+
+@contextmanager
+def said_of_layout(path: Path, layout: LoggerLayout, options: Collection[str]) -> Iterator[None]:
+    """Name the file of a layout, and its key, in problems and warnings about options that it states.
+
+    path    : of the layout
+    options : those of OPTIONS that options of the command state, which prevail over the layout
+    """
+    shown = partial(_shown, _places(display_path(path), layout, options))
+    with warnings.catch_warnings(record=True) as caught, reworded(shown):
+        yield
+    for told in caught:
+        warnings.warn(shown(str(told.message)), told.category, stacklevel=3)
+
+
+def _places(file: str, layout: LoggerLayout, options: Collection[str]) -> dict[str, str]:
+    """How a message names what a layout states as an option -> how it names the key of the file."""
+    places = {}
+    for k, column in enumerate(layout.column, 1):
+        table = f"{file}, [column] {k}"
+        places[f"--layout: column {column.name}:"] = f"{table}: `name`: `{column.name}`:"
+        places[f"--layout: unit of column {column.name}:"] = f"{table}: `unit`:"
+        places[f"--depth {column.name}={column.depth}:"] = f"{table}: `depth`: `{column.depth}`:"
+    for key in OPTIONS:
+        if (value := getattr(layout, key)) is not None and key not in options:
+            option = f"--{key.replace('_', '-')}"
+            places[f"{option} {value}:"] = f"{file}: `{key}`: `{value}`:"
+            places |= {f"{old} {option}": f"{old} `{key}` in {file}" for old in ("Leave", "correct")}
+            places[f"{option} says"] = f"`{key}` in {file} says"
+    return places
+
+
+def _shown(places: Mapping[str, str], line: str) -> str:
+    for old, new in places.items():
+        line = line.replace(old, new)
+    return line

@@ -16,7 +16,7 @@ import pandas as pd
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.heating.recorded.cells.text import DOTTED_AFTER_DATE
+from sim_heating.heating.recorded.cells.text import DOTTED_AFTER_DATE, western
 
 DAY_S = 86400.0
 ORDERS = {"day-first": "day first", "month-first": "month first", "year-first": "year first"}
@@ -43,7 +43,8 @@ _AMERICA = {"est": -5, "edt": -4, "cst": -6, "cdt": -5, "mst": -7, "mdt": -6, "p
 ZONES = {**_EUROPE, **_AMERICA}
 """Names of offsets from UTC [h]; they matter where they change within a file."""
 DATE = (
-    r"(?:(?P<a>\d{1,4})\.?(?P<mark>[-/. ])(?P<b>\d{1,2}|[^\W\d]{3,9}\.?)(?:(?P=mark)|, ?)(?P<c>\d{2,4})"
+    r"(?:(?P<a>\d{1,4})\.?(?P<mark>[-/. ])(?P<b>\d{1,2}|[^\W\d]{3,9}\.?)(?:(?P=mark)|, ?)"
+    r"(?P<c>\d{2,4}|(?:(?<=\d{4}[-/.]\d[-/.])|(?<=\d{4}[-/.]\d{2}[-/.]))\d)"  # 2024/3/5
     r"|(?P<named>[^\W\d]{3,9})\.? (?P<nd>\d{1,2}),? (?P<ny>\d{4})|(?P<ordinal>\d{4}[-/:]?\d{3})|(?P<basic>\d{8}))"
 )
 TIME = (
@@ -92,7 +93,7 @@ def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit
     raises   : InputError, one line with a cell and the option that decides, where several layouts fit
     """
     # blanks of no break stand before `a.m.` in stamps of spreadsheets
-    plain = (cell.replace("\u00a0", " ").replace("\u202f", " ") for cell in cells)
+    plain = (western(cell).replace("\u00a0", " ").replace("\u202f", " ") for cell in cells)
     written, usual = pd.Series(list(cells), dtype=object), (CTIME.sub(r"\1 \2 \4 \3", cell) for cell in plain)
     series = pd.Series([DOTTED_AFTER_DATE.sub(r"\1:\2:\3", cell) for cell in usual], dtype=object)
     full = series != ""

@@ -34,12 +34,27 @@ def json_block(path: Path, text: str) -> Block:
             raise InputError(f"{display_path(path)}, row {i}: no JSON object; write one a row, with the same keys")
     if len(rows) == 1:
         rows = _rows_of_columns(rows[0][1])
-    block = of_frame(path, pd.DataFrame([row for _, row in rows], dtype=object), {}, "JSON")
+    # objects within a row are columns of their own, `tc.TC1`
+    block = of_frame(path, pd.json_normalize(_with_named_items([row for _, row in rows])).astype(object), {}, "JSON")
     return replace(block, lines=tuple(i for i, _ in rows))
 
 
+def _with_named_items(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows whose lists, as long as in the first row each, are objects of their numbers from 1 on: `tc.1`, `tc.2`."""
+    listed = {key for key, value in rows[0].items() if isinstance(value, list)}
+    even = {key for key in listed if {_length(row.get(key)) for row in rows} == {len(rows[0][key])}}
+    return [{k: dict(enumerate(v, 1)) if k in even else v for k, v in row.items()} for row in rows] if even else rows
+
+
+def _length(value: Any) -> int:
+    return len(value) if isinstance(value, list) else -1
+
+
 def _rows_of_columns(columns: dict[str, Any]) -> list[tuple[int, dict[str, Any]]]:
-    """Rows of an object with a list for each column; the object itself where its values are no lists of one length."""
+    """Rows of an object with a list for each column, or with one list of objects; else the object itself."""
+    listed = [v for v in columns.values() if isinstance(v, list) and v and all(isinstance(row, dict) for row in v)]
+    if len(listed) == 1:
+        return list(enumerate(listed[0], 1))
     if {isinstance(v, list) for v in columns.values()} != {True} or len({len(v) for v in columns.values()}) > 1:
         return [(1, columns)]
     return [(i, dict(zip(columns, row, strict=True))) for i, row in enumerate(zip(*columns.values(), strict=True), 1)]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,7 @@ from sim_heating.heating.recorded.cells.block import Block
 
 BLANKS = "\u00a0\u202f'"
 """Thousands signs that are no decimal sign."""
-TORN = re.compile(r"(?i)(?:(?:#?n/?an?|null|none|-+)\s+)?\(?[+-]?[.,]?\d")
+TORN = re.compile(r"(?i)(?:(?:#?n/?an?|null|none|ov?l|over\w*|open(?: tc)?|-+)\s+)?\(?[+-]?[.,]?\d")
 """How a cell begins that holds a number, or several, also behind a lost one or in brackets, but not in the layout of
 the file."""
 PLAIN_CHARACTERS = set("0123456789.+-eE")
@@ -26,6 +27,9 @@ WITH_UNIT = re.compile(r"([+-]?[\d.,'\u00a0\u202f]*\d[.,]?(?:[eE][+-]?\d+)?)\s*(
 GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{0}\d{{3}})+"
 EITHER = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}")
 """A number whose sign may be that of decimals or of thousands."""
+EITHER_LINES = tuple(re.compile(rf"^[+-]?[1-9]\d{{0,2}}{sign}\d{{3}}$", re.MULTILINE) for sign in ("\\.", ","))
+OTHER_LINE = re.compile(rf"^(?!{EITHER.pattern}$).+$", re.MULTILINE)
+"""Cells in lines of a text: such a number by its sign, and all others; one search of all is fast."""
 LEAST_WHOLE = 3
 """Different whole numbers of three digits that show a sign of thousands; one or two may be codes of lost samples."""
 EXPONENT = r"(?:[eE][+-]?\d+)?"
@@ -105,7 +109,7 @@ def _shown_signs(
         joined = "".join(cells)
         blank = next((b for b in BLANKS if b in joined), blank)
         signs = {sign for sign in ".," if sign in joined}
-        for row, cell in enumerate(cells) if signs else ():
+        for row, cell in _telling(cells) if signs else ():
             either = EITHER.fullmatch(cell)
             shown = (False, either[1]) if either else _sign_of(cell)
             if shown is not None:
@@ -113,6 +117,21 @@ def _shown_signs(
                 if shown[0] and len(signs) == 1:
                     break  # no other cell of the column has another sign
     return evidence, open_cells, blank
+
+
+def _telling(cells: Sequence[str]) -> Iterator[tuple[int, str]]:
+    """Row and text of the cells that may tell a sign: of numbers that may be either, the first ones of each sign."""
+    text = "\n".join(cells)
+    if text.count("\n") >= len(cells):  # cells of a sheet may hold line breaks
+        yield from enumerate(cells)
+        return
+    row, counted_to = 0, 0
+    for match in chain(*(islice(pattern.finditer(text), 1) for pattern in EITHER_LINES), OTHER_LINE.finditer(text)):
+        if match.start() < counted_to:
+            row, counted_to = 0, 0
+        row += text.count("\n", counted_to, match.start())
+        counted_to = match.start()
+        yield row, cells[row]
 
 
 def _sign_of(cell: str) -> tuple[bool, str] | None:
@@ -210,7 +229,10 @@ def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
 
 def _plain_numbers(cells: Sequence[str]) -> Numbers:
     """Numbers of cells without units, thousands and decimal commas, read all at once."""
-    values = np.asarray(pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce"), dtype=float)
+    try:
+        values = np.fromiter(map(float, cells), dtype=float, count=len(cells))
+    except ValueError:  # a cell is empty or torn
+        values = np.asarray(pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce"), dtype=float)
     bad = [int(i) for i in np.flatnonzero(np.isnan(values)) if cells[int(i)]]
     torn = next((i for i in bad if any(c.isdigit() for c in cells[i])), -1)
     return Numbers(np.where(np.isfinite(values), values, np.nan), "", tuple({cells[i] for i in bad}), torn)

@@ -17,6 +17,11 @@ from sim_heating.heating.recorded.cells.block import Block
 from sim_heating.heating.recorded.cells.json_rows import is_json, json_block
 from sim_heating.heating.recorded.cells.tecplot import is_tecplot, tecplot_block
 
+
+def _with_colons(time: re.Match[str]) -> str:
+    return ":".join(part for part in time.groups() if part)
+
+
 WIDE = "  "
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", WIDE: "wide blanks", " ": "blanks"}
 """In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates, and no two do."""
@@ -35,6 +40,19 @@ CLOCK_CELL = re.compile(
 """What may be a date or a time of day."""
 DOTTED_AFTER_DATE = re.compile(r"(?<=\d[ T])(\d{1,2})\.(\d{2})\.(\d{2})(?![.\d])")
 """Time of day with points in place of colons, behind a date."""
+EAST_ASIAN = (
+    (re.compile(r"(\d{2,4}) ?[年년] ?(\d{1,2}) ?[月월] ?(\d{1,2}) ?[日일] ?"), r"\1-\2-\3 "),
+    (re.compile(r"(\d{1,2}) ?[时時시] ?(\d{1,2}) ?[分분](?: ?(\d{1,2}(?:\.\d+)?) ?[秒초])?"), _with_colons),
+    (re.compile(r"(?:上午|午前|오전) ?(\d{1,2}:[\d:.]+)"), r"\1 AM"),
+    (re.compile(r"(?:下午|午後|오후) ?(\d{1,2}:[\d:.]+)"), r"\1 PM"),
+)
+"""Signs of years, hours and halves of a day in Chinese, Japanese and Korean -> the usual ones."""
+CODE_PAGES = {
+    "gb18030": r"\d年|时间|日期|上午|下午|温度",
+    "cp932": r"\d年|時間|日時|日付|午前|午後|温度",
+    "cp949": r"\d년|시간|날짜|오전|오후|온도",
+}
+"""Code page -> words by which a text is in it."""
 SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
 """Several numbers in one cell."""
 FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
@@ -47,7 +65,12 @@ SIGN_APART = re.compile(r"(?m)(^|[,;\t|])([+-]) +(?=[\d.])")
 """A sign with blanks behind it, as Graphtec writes numbers."""
 PROCESS = {"", "avg", "smp", "min", "max", "std", "tot", "sample", "ave", "average", "last", "mean"}
 """Words of a row that states how a logger reduced its samples."""
-NAME_WORDS = r"(?i)time|zeit|date|datum|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$|^t_|flux|plate"
+EAST_ASIAN_TIME, EAST_ASIAN_TEMPERATURE = "时间|日期|時間|日時|日付|시간|날짜", "温度|溫度|온도"
+"""Words for time and date, and for a temperature, in names."""
+NAME_WORDS = (
+    rf"(?i)time|zeit|date|datum|{EAST_ASIAN_TIME}|temp|{EAST_ASIAN_TEMPERATURE}|^tc|thermo|sensor|chan|^ch\d|^t\d*$|^t_"
+    r"|flux|plate"
+)
 """Words by which a row is one of names."""
 COMMENT_SIGNS = ("#", "%")
 """Signs that begin a line of comment, which may hold the names of the columns."""
@@ -55,18 +78,33 @@ HAS_BLANK = re.compile(r"\s").search
 """Whether a line holds a blank of any kind."""
 OPEN_QUOTE = re.compile(r'(?:^|[,;\t|])\s*"(?:[^"]|"")*$')
 """A cell that begins with a quote and does not end in the line; another quote may be an inch."""
-TIME_WORDS = r"(?i)time|zeit|date|datum|^t$|^(elapsed )?sec"
+TIME_WORDS = rf"(?i)time|zeit|date|datum|{EAST_ASIAN_TIME}|^t$|^(elapsed )?sec"
 """Words of the name of a time."""
 HEAD_LINES = 50
 """Most lines above the data."""
 TRAILER_LINES = 30
 """Most lines behind the data that may be a summary."""
+PAGE_CHARACTERS = 100_000
+"""Characters from the beginning by which the code page is found."""
 SAMPLE_LINES = 4000
 """Lines from which the separator is found: half from the beginning, half from the end."""
 
 
+def western(cell: str) -> str:
+    """A date or a time of day without the signs that East Asian loggers write in it.
+
+    >>> western("2024年3月5日 14时22分05秒"), western("2024/3/5 下午 2:22:05")
+    ('2024-3-5 14:22:05', '2024/3/5 2:22:05 PM')
+    """
+    if cell.isascii():
+        return cell
+    for pattern, usual in EAST_ASIAN:
+        cell = pattern.sub(usual, cell)
+    return cell.strip()
+
+
 def decoded(path: Path) -> str:
-    """The text of a file in UTF-8, UTF-16 or the code page of Windows.
+    """The text of a file in UTF-8, UTF-16 or a code page of Windows.
 
     raises : as `read_text`
     """
@@ -80,7 +118,9 @@ def decoded(path: Path) -> str:
         raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         if b"\0" not in raw:  # a spreadsheet of Windows: the degree sign is byte 0xb0
-            return raw.decode("cp1252", errors="replace")
+            texts = {page: raw.decode(page, errors="replace") for page in CODE_PAGES}
+            page = next((p for p, words in CODE_PAGES.items() if re.search(words, texts[p][:PAGE_CHARACTERS])), "")
+            return texts[page] if page else raw.decode("cp1252", errors="replace")
     return read_text(path)
 
 
@@ -183,8 +223,9 @@ def split_lines(lines: Sequence[tuple[int, str]], sign: str) -> list[Row]:
         rows = list(map(tuple, csv.reader(texts, delimiter=sign, skipinitialspace=True)))
         if len(rows) != len(texts):  # a quote that is not closed
             rows = [tuple(next(csv.reader([line], delimiter=sign, skipinitialspace=True))) for line in texts]
-    if any(map(HAS_BLANK, texts)):
-        rows = [tuple(map(str.strip, cells)) for cells in rows]
+    # names often have blanks, and a million rows below them none
+    spaced = len(texts) if any(map(HAS_BLANK, texts[HEAD_LINES:])) else HEAD_LINES
+    rows[:spaced] = [tuple(map(str.strip, cells)) for cells in rows[:spaced]]
     return [(i, cells) for (i, _), cells in zip(lines, rows, strict=True)]
 
 
@@ -227,6 +268,8 @@ def _is_torn(cell: str, sign: str) -> bool:
     if re.fullmatch(r"\d{8}\s+\d{4,6}", cell):
         return False
     if CLOCK_CELL.fullmatch(cell):
+        if sign == " " and len(re.findall("[,;]", cell)) > 1:
+            return True  # one may be the decimal sign of the seconds
         ends_in_year = re.search(r"[A-Za-z]{3} +\d{1,2} [\d:]+ \d{4}$", cell)
         return not ends_in_year and re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
     return re.search(r"\d[.,]?\s+[+-]?[.,]?\d", cell) is not None
@@ -239,6 +282,7 @@ def is_number(cell: str) -> bool:
 
 def is_clock(cell: str) -> bool:
     """Whether a cell may hold a date or a time of day."""
+    cell = western(cell)
     has_time = SEVERAL.fullmatch(cell) is None or DOTTED_AFTER_DATE.search(cell) is not None
     return CLOCK_CELL.fullmatch(cell) is not None and has_time
 
@@ -266,9 +310,23 @@ def rows_block(
     """
     file = display_path(path)
     width = max(Counter(len(c) for _, c in split).items(), key=lambda item: (item[1], item[0]))[0]
+    split, width = _with_constants(split, width)
     first = _first_row(split, width, recorder)
+    if (
+        first
+        and len(split[first - 1][1]) > width
+        and _is_data(split[first - 1][1])
+        and not _is_comment(split[first - 1][1])
+    ):
+        line, cells = split[first - 1]
+        rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
+        raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
     if first is None:
-        raise InputError(f"{file}: no rows of numbers were found; give a file with a time and temperatures")
+        usual, cells = next((line, cells) for line, cells in reversed(split) if len(cells) == width)
+        raise InputError(
+            f"{file}: no rows of numbers were found; row {usual}, `{_shown(cells)}`, is none. Write a time and "
+            "temperatures alone in each row, one number a cell, or state --separator"
+        )
     body, notes = _body(file, split, first, _last_row(split, first, width))
     columns = _columns_of_rows(file, body, width)
     while width > 1 and not any(columns[-1]) and not _named_cell(split, first, width - 1):
@@ -279,6 +337,18 @@ def rows_block(
     about = ", ".join(filter(None, [recorder, f"cells separated by {sign_text}" if sign_text else ""]))
     table = (tuple(names), tuple(units), tuple(columns), tuple(line for line, _ in body))
     return Block(path, *table, sign, "", names_line, about, tuple(notes))
+
+
+def _with_constants(split: Sequence[Row], width: int) -> tuple[Sequence[Row], int]:
+    """Rows, and their number of cells, of a file whose first row of data alone has the constants of the run behind its
+    readings, below their names, as Lascar writes it: the cells of the others are empty there."""
+    k = next((k for k, (_, cells) in enumerate(split[:HEAD_LINES]) if len(cells) > width and _is_data(cells)), 0)
+    wide = len(split[k][1])
+    has_names = k > 0 and len(split[k - 1][1]) == wide and not _is_data(split[k - 1][1])
+    if not has_names or any(len(cells) != width for _, cells in split[k + 1 :]):
+        return split, width
+    rest = ((line, (*cells, *[""] * (wide - width))) for line, cells in split[k + 1 :])
+    return [*split[: k + 1], *rest], wide
 
 
 def _body(file: str, split: Sequence[Row], first: int, last: int) -> tuple[list[Row], list[str]]:
@@ -297,6 +367,11 @@ def _body(file: str, split: Sequence[Row], first: int, last: int) -> tuple[list[
     body = [row for row in split[first : last + 1] if row[1][0][:1] not in COMMENT_SIGNS or not _is_comment(row[1])]
     if comments := last + 1 - first - len(body):
         notes.append(f"{comments} lines of comment amid the data left out")
+    names = split[first - 1][1] if first and comments else ()
+    below = {row[0] for above, row in pairwise(split[first : last + 1]) if row[1] == names and _is_comment(above[1])}
+    if below:
+        body = [row for row in body if row[0] not in below]
+        notes.append(f"the names stand again in row {min(below)}, below a comment: left out")
     return body, notes
 
 
