@@ -24,6 +24,7 @@ import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +120,7 @@ class Study:
         """Files and directories that it is made from; no results may replace them."""
         return (self.path, *self.base.files, *self.estimates)
 
+    @cached_property
     def members(self) -> tuple[Member, ...]:
         """What may be true of the control points, each with its weight, for margins at the band; none without bands.
 
@@ -180,7 +182,7 @@ def load_study(
     at = None if root is None else Path(root).absolute()
     study = Study(study_path, declared, base, points, digest, at, estimates)
     study.optimal()
-    study.members()
+    _ = study.members  # read once, so that what is wrong with an estimate is told here
     return study
 
 
