@@ -35,7 +35,7 @@ from sim_heating.estimation.inference.model_error import ErrorSize
 from sim_heating.estimation.inference.observability import without_stuck_sensors
 from sim_heating.estimation.inference.outliers import without_outliers
 from sim_heating.estimation.problem import FitProblem
-from sim_heating.estimation.report.estimate_file import NAME, Estimate
+from sim_heating.estimation.report.estimate_file import Estimate, estimate_path
 from sim_heating.estimation.unknowns import FitOptions
 from sim_heating.inputs.averaged_record import averaged_record
 from sim_heating.inputs.parameter_owners import Owners
@@ -65,8 +65,7 @@ def fitted_records(
     path   : of the estimate's file, beside which they may lie
     raises : InputError where one does not exist, or was changed since
     """
-    file = Path(path)
-    file = file / NAME if file.is_dir() else file
+    file = estimate_path(path)
     for name in estimate.records:
         if not any((folder / name).is_dir() for folder in (Path(), file.parent)):
             raise InputError(

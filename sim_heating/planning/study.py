@@ -32,7 +32,7 @@ from pydantic import Field, model_validator
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml, roots_of
-from sim_heating.estimation.report.estimate_file import NAME as ESTIMATE_FILE
+from sim_heating.estimation.report.estimate_file import estimate_path
 from sim_heating.heating.effects import add_user_effects
 from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, make_scenario
 from sim_heating.inputs.vehicle import Vehicle, add_vehicle_files, load_vehicle, vehicle_place
@@ -193,8 +193,7 @@ def _estimates(
     roots, paths = roots_of(study_path, root, base.vehicle.directory), list[Path]()
     for i, member in enumerate(declared.envelope.member if declared.envelope else (), 1):
         where = f"[[envelope.member]] {i}: `estimate`"
-        path = roots.named(member.estimate, where)
-        path = path / ESTIMATE_FILE if path.is_dir() else path
+        path = estimate_path(roots.named(member.estimate, where))
         if not path.is_file():
             raise InputError(f"{display_path(study_path)}, {where}: the file {display_path(path)} does not exist")
         paths.append(path)

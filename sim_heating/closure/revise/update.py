@@ -38,7 +38,13 @@ from sim_heating.closure.revise.revisions import (
     revision_path,
     write_revision,
 )
-from sim_heating.estimation.report.estimate_file import NAME, Estimate, EstimatedParameter, correlations, read_estimate
+from sim_heating.estimation.report.estimate_file import (
+    Estimate,
+    EstimatedParameter,
+    correlations,
+    estimate_path,
+    read_estimate,
+)
 from sim_heating.heating.edge_flow import Atoms, EdgeFlow, edge_flow
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import UPDATE_REACH, Posterior, on_axes, posterior
@@ -201,7 +207,7 @@ def prepare_update(
     accept_partly : take what a closed loop only resembles as if it were its cause
     raises     : InputError where the two do not belong together or the estimate is already in the table
     """
-    file = Path(fit) / NAME if os.path.isdir(fit) else Path(fit)
+    file = estimate_path(fit)
     complete = read_estimate(file)
     check_estimate(complete, display_path(file))
     if complete.finding in (PARTLY, UNKNOWN) and not accept_partly:

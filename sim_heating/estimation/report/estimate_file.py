@@ -381,14 +381,18 @@ def correlations(names: Sequence[str], covariance: FloatArray) -> dict[str, floa
     }
 
 
+def estimate_path(path: str | os.PathLike[str]) -> Path:
+    """The file of an estimate: as it is named, or the estimate.json in a directory."""
+    return Path(path) / NAME if os.path.isdir(path) else Path(path)
+
+
 def read_estimate(path: str | os.PathLike[str]) -> Estimate:
     """Read an estimate.json, or the one in a directory.
 
     raises : InputError with one line for each problem, naming file, key and value; also where the file was changed
              after it was written, or carries no digest by which that could be seen
     """
-    file = Path(path)
-    file = file / NAME if os.path.isdir(file) else file
+    file = estimate_path(path)
     data, name = read_json(file), display_path(file)
     # both are in output directories and are easily confused
     if str(data.get("format")).startswith("closure-report/"):
