@@ -75,6 +75,7 @@ from sim_heating.templates.quantities import quantity
 
 UNUSED = "not used"
 """Kind of a column that is none of those of a layout."""
+UNIT_KEYS = {TIME: "time_unit", TEMPERATURE: "temperature_unit", FLUX: "flux_unit"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
     (
@@ -141,6 +142,7 @@ class CsvColumn:
     values : (row,) as in the file, times of day in s; NaN where the cell holds no number
     reason : why it is taken for this kind and unit
     guess  : what is assumed without a word of the file, for a warning; empty where nothing is
+    declared : what the layout of the recorder declares of it; None where it declares nothing
     """
 
     name: str
@@ -149,6 +151,7 @@ class CsvColumn:
     values: FloatArray
     reason: str
     guess: str = ""
+    declared: LayoutColumn | None = None
 
     @cached_property
     def si(self) -> FloatArray:
@@ -284,22 +287,22 @@ def read_measured_csv(
         "dates": dates,
         "repeated": repeated,
         "sheet": sheet,
-        "lost": [*base.lost, *lost],
+        "lost": [*base.lost, *lost] or None,
     }
-    chosen = base.model_copy(update={key: value for key, value in stated.items() if value is not None})
+    chosen = base.with_options({key: value for key, value in stated.items() if value is not None})
     if time_unit is not None and (problem := unit_problem(time_unit, TIME)):
-        raise InputError(f"--time-unit {time_unit}: {problem}")
+        raise InputError(f"{chosen.place('time_unit')}: {problem}")
     block = _long_as_wide(_with_unit_column(_block(path, chosen)))
     heads, signs = _heads(block, chosen)
     heads = _joined_dates(heads)
     heads, junction = _emf_as_temperature(block, heads, chosen)
     columns = _unused([_column(h) for h in heads], {junction}, "reference junction")
     columns = _as_declared(path, columns, base)
-    columns = _as_chosen(path, columns, chosen.time, temperatures, flux)
+    columns = _as_chosen(path, columns, chosen, temperatures, flux)
     clock, zero_s, notes = _time(block, heads, columns, chosen)
     others = [c for c in columns if c.name != clock.name]
     others = _unused(others, {c.name for c in others if c.kind == TIME}, "another column is the time")
-    columns = _readings(block, [clock, *others], heads, (chosen, base), kinds)
+    columns = _readings(block, [clock, *others], heads, chosen, kinds)
     columns, rows, row_notes = _rows_kept(block, columns, kinds)
     named = f"names in line {block.names_line}" if block.has_names else "no names"
     measured = MeasuredCsv(
@@ -312,7 +315,7 @@ def read_measured_csv(
         _stated(chosen, block, signs, columns, heads),
         (*block.notes, *notes, *row_notes),
     )
-    measured = _with_distinct_times(measured, chosen.repeated)
+    measured = _with_distinct_times(measured, chosen)
     _warn_of_guesses(measured, kinds)
     if TEMPERATURE in kinds:
         _name_far_off(measured)
@@ -328,18 +331,15 @@ def _readings(
     block: Block,
     columns: list[CsvColumn],
     heads: Sequence[_Head],
-    layouts: tuple[LoggerLayout, LoggerLayout],
+    chosen: LoggerLayout,
     kinds: Sequence[str],
 ) -> list[CsvColumn]:
-    """Columns with units, and without lost samples, of the kinds that are needed.
-
-    layouts : the chosen one, and what other files of the recorder had in common
-    """
+    """Columns with units, and without lost samples, of the kinds that are needed."""
     by_name = {h.name: h for h in heads}
-    columns = [_with_unit(block, c, by_name[c.name], *layouts) if c.kind in kinds else c for c in columns]
+    columns = [_with_unit(block, c, by_name[c.name], chosen) if c.kind in kinds else c for c in columns]
     columns = _guessed(block, _without_counters(columns), kinds)
     emfs = {h.name for h in heads if h.emf}  # without lost codes already; a time made of a period is no column
-    lost = {c.name: () if c.name in emfs else layouts[0].lost for c in columns}
+    lost = {c.name: () if c.name in emfs else chosen.lost for c in columns}
     return [_without_lost(block, c, lost[c.name]) if c.kind in kinds else c for c in columns]
 
 
@@ -348,8 +348,8 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
     kind = kind_of_file(path)
     if not kind:
         text = decoded(path)
-        return lvm_block(path, text, chosen.sheet) if is_lvm(text) else text_block(path, text, chosen.separator)
-    table = read_table(path, kind, chosen.sheet)
+        return lvm_block(path, text, chosen) if is_lvm(text) else text_block(path, text, chosen.separator)
+    table = read_table(path, kind, chosen)
     if isinstance(table, Block):
         return table
     rows = [(i, cells) for i, cells in enumerate(table, 1) if any(cells)]
@@ -524,7 +524,8 @@ def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chos
         return None
     try:
         location = f"{display_path(block.path)}, column {name}"
-        return clock_of(block.column(k), location, chosen.dates, _clock_word(unit) or chosen.time_unit)
+        layout = _clock_word(unit) or chosen.time_unit
+        return clock_of(block.column(k), location, chosen.dates, layout, chosen.option("dates"))
     except InputError:
         is_called = re.search(HEADS[0][1], name) or not any(re.search(HEADS[0][1], n) for n in names)
         if chosen.time in its_names or (chosen.time is None and is_called):
@@ -646,38 +647,40 @@ def _emf_as_temperature(block: Block, heads: list[_Head], chosen: LoggerLayout) 
     if letter is None:
         if junction is not None:
             raise InputError(
-                f"--reference-junction {junction}: needs the type of the thermocouple; add --thermocouple K"
+                f"{chosen.place('reference_junction')}: needs the type of the thermocouple; add --thermocouple K"
             )
         return heads, ""
     if junction is None:
         rule = "needs the temperature of the terminals, or its column; add --reference-junction 25degC"
-        raise InputError(f"--thermocouple {letter}: {rule}")
+        raise InputError(f"{chosen.place('thermocouple')}: {rule}")
     file = display_path(block.path)
-    reference_K, column = _reference_junction_K(block, heads, junction)
+    reference_K, column = _reference_junction_K(block, heads, junction, chosen)
     converted_heads = []
     for head in heads:
         unit = head.unit
         if head.name != column and is_emf(unit) and not re.search(NO_READING, head.name):
             read = _without_codes(block, CsvColumn(head.name, TEMPERATURE, unit, head.numbers.values, ""), chosen.lost)
             emf = EmfColumn(f"{file}, column {head.name}", unit, read.values, block.lines)
-            T_K = temperatures_K(letter, emf, reference_K)
+            T_K = temperatures_K(letter, emf, reference_K, chosen.option("reference_junction"))
             numbers = replace(head.numbers, values=T_K, unit="")
             head = replace(head, stated="K", numbers=numbers, emf=f"{unit} of type {letter}")
         converted_heads.append(head)
     if all(new is old for new, old in zip(converted_heads, heads, strict=True)):
         raise InputError(
-            f"--thermocouple {letter}: no column of {file} states a voltage, such as `TC1 (mV)`; leave it out"
+            f"{chosen.place('thermocouple')}: no column of {file} states a voltage, such as `TC1 (mV)`; leave it out"
         )
     return converted_heads, column
 
 
-def _reference_junction_K(block: Block, heads: Sequence[_Head], junction: str) -> tuple[FloatArray | float, str]:
+def _reference_junction_K(
+    block: Block, heads: Sequence[_Head], junction: str, chosen: LoggerLayout
+) -> tuple[FloatArray | float, str]:
     """Temperature of the reference junction [K], for each row with the name of its column, or one for all."""
     head = next((h for h in heads if junction in (h.name, f"{h.name} ({h.stated})", f"{h.name} [{h.stated}]")), None)
     if head is None:
         names = [h.name for h in heads]
         try:
-            return quantity(junction, "K", "--reference-junction", "--reference-junction 25degC"), ""
+            return quantity(junction, "K", chosen.option("reference_junction"), "25degC"), ""
         except InputError as error:
             raise InputError(f"{error}{suggestion(junction, names)}") from None
     unit = head.unit
@@ -685,7 +688,7 @@ def _reference_junction_K(block: Block, heads: Sequence[_Head], junction: str) -
     if not unit or to_K is None:
         rule = f"states `{unit}`, no unit of temperature" if unit else "states no unit of temperature"
         raise InputError(
-            f"--reference-junction {junction}: the column in {display_path(block.path)} {rule}; name it with one, "
+            f"{chosen.place('reference_junction')}: the column in {display_path(block.path)} {rule}; name it with one, "
             f"such as `{head.name} (degC)`, or give a temperature"
         )
     return to_K.factor * head.numbers.values + to_K.offset, head.name
@@ -694,15 +697,15 @@ def _reference_junction_K(block: Block, heads: Sequence[_Head], junction: str) -
 # Choices -------------------------------------------------------------------------------------------------------------
 
 
-def _named(path: Path, columns: list[CsvColumn], name: str, option: str) -> int:
-    """Index of a column by its name, with or without its unit."""
+def _named(path: Path, columns: list[CsvColumn], name: str, place: str) -> int:
+    """Index of a column by its name, with or without its unit; `place` states it, for messages."""
     bare, _ = name_and_unit(name, list(SI_UNITS.values()))
     for spelling in (name, bare):
         for k, column in enumerate(columns):
             if column.name == spelling:
                 return k
     hint = suggestion(name, [c.name for c in columns])
-    raise InputError(f"{option} {name}: there is no such column in {display_path(path)}{hint}")
+    raise InputError(f"{place}: there is no such column in {display_path(path)}{hint}")
 
 
 def _as_kind(column: CsvColumn, kind: str, reason: str) -> CsvColumn:
@@ -719,24 +722,24 @@ def _as_declared(path: Path, columns: list[CsvColumn], layout: LoggerLayout) -> 
         replace(c, kind=UNUSED, reason="not in the layout") if c.kind in (TEMPERATURE, FLUX) else c for c in columns
     ]
     for declared in layout.column:
-        k = _named(path, columns, declared.name, "--layout: column")
-        columns_of_layout[k] = _as_kind(columns[k], declared.kind, "--layout")
+        k = _named(path, columns, declared.name, declared.place("name"))
+        columns_of_layout[k] = replace(_as_kind(columns[k], declared.kind, "--layout"), declared=declared)
     return columns_of_layout
 
 
 def _as_chosen(
-    path: Path, columns: list[CsvColumn], time: str | None, temperatures: tuple[str, ...], flux: str | None
+    path: Path, columns: list[CsvColumn], chosen: LoggerLayout, temperatures: tuple[str, ...], flux: str | None
 ) -> list[CsvColumn]:
     """Columns of the kinds that options state; where temperatures are named, others are not used."""
-    choices = [(TIME, "--time", time), (FLUX, "--lamp", flux)]
-    choices += [(TEMPERATURE, "--temperature", t) for t in temperatures]
+    choices = [(TIME, chosen.place("time"), chosen.time), (FLUX, f"--lamp {flux}", flux)]
+    choices += [(TEMPERATURE, f"--temperature {t}", t) for t in temperatures]
     exclusive = {kind for kind, _, name in choices if name is not None} - {FLUX}
-    chosen = [replace(c, kind=UNUSED, reason="not named") if c.kind in exclusive else c for c in columns]
-    for kind, option, name in choices:
+    used = [replace(c, kind=UNUSED, reason="not named") if c.kind in exclusive else c for c in columns]
+    for kind, place, name in choices:
         if name is not None:
-            k = _named(path, columns, name, option)
-            chosen[k] = _as_kind(columns[k], kind, f"{option} {name}")
-    return chosen
+            k = _named(path, columns, name, place)
+            used[k] = _as_kind(columns[k], kind, place)
+    return used
 
 
 # Time ----------------------------------------------------------------------------------------------------------------
@@ -751,7 +754,11 @@ def _time(
     """
     if chosen.period_s is not None:
         values = np.round(chosen.period_s * np.arange(len(block.lines)), 9)
-        return CsvColumn("time", TIME, "s", values, f"--period {chosen.period_s:g} s, from row 1"), None, []
+        return (
+            CsvColumn("time", TIME, "s", values, f"{chosen.option('period_s')} {chosen.period_s:g} s, from row 1"),
+            None,
+            [],
+        )
     by_name = {h.name: h for h in heads}
     called = [c for c in columns if c.kind == TIME]
     readable = [c for c in called if _is_read(by_name[c.name])]
@@ -859,7 +866,7 @@ def _number_time(
     stated = head.unit
     if not stated and converted(head.name, "s") is not None and len(head.name) > 1:
         stated = head.name
-    time_unit, guess, reason = _unit_of_time(block, head, column, stated, chosen.time_unit)
+    time_unit, guess, reason = _unit_of_time(block, head, column, stated, chosen)
     scale = converted(time_unit, "s")
     assert scale is not None
     finite = np.flatnonzero(np.isfinite(values))
@@ -884,23 +891,24 @@ def _number_time(
 
 
 def _unit_of_time(
-    block: Block, head: _Head, column: CsvColumn, stated: str, option: str | None
+    block: Block, head: _Head, column: CsvColumn, stated: str, chosen: LoggerLayout
 ) -> tuple[str, str, str]:
-    """Unit of a time in numbers, what is assumed by it, and why: that of the option, of the file, or of the size.
+    """Unit of a time in numbers, what is assumed by it, and why: the chosen one, of the file, or of the size.
 
     stated : by the file; empty where it states none
-    option : unit of --time-unit; None where it is not given
-    raises : InputError where the option is a clock, or the file states a unit that is not known
+    raises : InputError where the chosen one is a clock, or the file states a unit that is not known
     """
+    unit = chosen.time_unit
     location = f"{display_path(block.path)}, column {head.name}"
-    if option in CLOCKS:
+    if unit in CLOCKS:
         cell = next(c for c in head.cells if c)
-        raise InputError(f"--time-unit {option}: `{cell}` in {location} is no such clock; give s, ms, min or h")
+        place = chosen.place("time_unit")
+        raise InputError(f"{place}: `{cell}` in {location} is no such clock; give s, ms, min or h")
     is_time = bool(stated) and converted(stated, "s") is not None
-    if option is not None:
-        declared = replace(column, kind=TIME, unit=stated if is_time else "")
-        _warn_of_other_unit(block.path, declared, option, "--time-unit")
-        return option, "", f"{column.reason}; --time-unit"
+    if unit is not None:
+        timed, option = replace(column, kind=TIME, unit=stated if is_time else ""), chosen.option("time_unit")
+        _warn_of_other_unit(block.path, timed, unit, option)
+        return unit, "", f"{column.reason}; {option}"
     if is_time:
         return stated, "", column.reason
     if stated and not re.fullmatch(REMARK, stated.strip()):
@@ -966,8 +974,8 @@ def _with_the_newest_last(measured: MeasuredCsv) -> MeasuredCsv:
     )
 
 
-def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> MeasuredCsv:
-    """A file whose times increase; rows of one time as the option states.
+def _with_distinct_times(measured: MeasuredCsv, chosen: LoggerLayout) -> MeasuredCsv:
+    """A file whose times increase; rows of one time as `repeated` of the layout states.
 
     raises : InputError with the first row of the file that does not come later, and the options that help
     """
@@ -988,21 +996,22 @@ def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> Measure
     repeats = np.flatnonzero(steps == 0.0) + 1
     if not len(repeats):
         return measured
-    if repeated is None:
+    if chosen.repeated is None:
         raise InputError(
             f"{measured.line(int(repeats[0]))}, column {clock.name}: does not come after the row above, but has "
             "its time; state --repeated spread (even until the next time) or --repeated first (keep the first), or "
             f"give --period{and_more_rows(repeats.size)}"
         )
     begins = np.flatnonzero(np.concatenate(([True], steps > 0.0)))
-    note = f"{len(repeats)} rows have the time of the row above (--repeated {repeated})"
+    option = f"{chosen.option('repeated')} {chosen.repeated}"
+    note = f"{len(repeats)} rows have the time of the row above ({option})"
     measured = replace(measured, notes=(*measured.notes, note))
-    if repeated == "first":
+    if chosen.repeated == "first":
         columns = tuple(replace(c, values=c.values[begins]) for c in measured.columns)
         return replace(measured, columns=columns, rows=tuple(measured.rows[i] for i in begins))
     if len(begins) < 2 or t[begins[-1]] <= t[begins[-2]]:
         raise InputError(f"{display_path(measured.path)}, column {clock.name}: all times are one; give --period")
-    reason = f"{clock.reason}; --repeated spread"
+    reason = f"{clock.reason}; {option}"
     even = replace(clock, values=np.round(_spread(t, begins), 9), unit="s", reason=reason)
     return replace(measured, columns=tuple(even if c is clock else c for c in measured.columns))
 
@@ -1046,7 +1055,7 @@ def _warn_of_other_unit(path: Path, column: CsvColumn, unit: str, option: str) -
         )
 
 
-def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayout, layout: LoggerLayout) -> CsvColumn:
+def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayout) -> CsvColumn:
     """A temperature or a flux with its unit: the one stated by an option, the file, or told by the first readings.
 
     raises : InputError where the file states a unit that is not known, or a cell is in another layout
@@ -1058,10 +1067,8 @@ def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayou
             "file; mend the cell, "
             "state --decimal or --separator, or name the columns that are read, --temperature COLUMN"
         )
-    declared = next((c.unit for c in layout.column if c.name == column.name and c.unit), None)
-    unit = declared or (chosen.temperature_unit if column.kind == TEMPERATURE else chosen.flux_unit)
-    if unit is not None:
-        return _with_stated_unit(block.path, column, unit, unit == declared)
+    if (column.declared and column.declared.unit) or getattr(chosen, UNIT_KEYS[column.kind]):
+        return _with_stated_unit(block.path, column, chosen)
     stated = head.unit
     if stated and not column.unit and not re.fullmatch(REMARK, stated.strip()):
         is_voltage = is_emf(stated) and column.kind == TEMPERATURE
@@ -1088,20 +1095,21 @@ def _without_counters(columns: list[CsvColumn]) -> list[CsvColumn]:
     ]
 
 
-def _with_stated_unit(path: Path, column: CsvColumn, unit: str, is_declared: bool) -> CsvColumn:
-    """A temperature or a flux in a unit that an option states, or a layout.
+def _with_stated_unit(path: Path, column: CsvColumn, chosen: LoggerLayout) -> CsvColumn:
+    """A temperature or a flux in the unit that the layout declares of its column, or states of all.
 
-    raises : InputError where it is none of this kind, or that of a layout is not the one of the file
+    raises : InputError where it is none of this kind, or the declared one is not that of the file
     """
-    kind, si = column.kind, SI_UNITS[column.kind]
-    option = UNIT_OPTIONS[kind].split()[0]
+    kind, si, declared = column.kind, SI_UNITS[column.kind], column.declared
+    if declared is not None and declared.unit:
+        if column.unit and converted(column.unit, si) != converted(declared.unit, si):
+            rule = f"and {display_path(path)} says {column.unit}; correct one of the two"
+            raise InputError(f"{declared.place('unit')}, {rule}")
+        return replace(column, unit=declared.unit, reason=f"{column.reason}; --layout")
+    key = UNIT_KEYS[kind]
+    unit, option = getattr(chosen, key), chosen.option(key)
     if problem := unit_problem(unit, kind):
-        raise InputError(f"{option} {unit}: {problem}")
-    if is_declared and column.unit and converted(column.unit, si) != converted(unit, si):
-        raise InputError(
-            f"--layout: unit of column {column.name}: `{unit}`, and {display_path(path)} says {column.unit}; correct "
-            "one of the two"
-        )
+        raise InputError(f"{chosen.place(key)}: {problem}")
     _warn_of_other_unit(path, column, unit, option)
     return replace(column, unit=unit, reason=f"{column.reason}; {option}")
 
@@ -1306,7 +1314,8 @@ def _stated(
 
 def _layout_column(column: CsvColumn, states_unit: bool) -> LayoutColumn:
     kind: Literal["temperature", "heat flux"] = "temperature" if column.kind == TEMPERATURE else "heat flux"
-    return LayoutColumn(name=column.name, kind=kind, unit=None if states_unit else column.unit)
+    declared = column.declared or LayoutColumn(name=column.name, kind=kind)
+    return declared if states_unit or declared.unit else declared.model_copy(update={"unit": column.unit})
 
 
 def _order_of_dates(clock: CsvColumn) -> str | None:

@@ -177,28 +177,32 @@ def sensor_columns(measured: MeasuredCsv) -> list[CsvColumn]:
 
 
 def depths_of(measured: MeasuredCsv, stated: Mapping[str, str], layers: Sequence[LayerInput]) -> dict[str, float]:
-    """Depths of the sensors of a file that a person stated [m], by column.
+    """Depths of the sensors of a file that a person stated [m], by column, else those of the recorder's layout.
 
     stated : column -> depth from the outer surface with a unit, `surface`, or `back`
     raises : InputError, one line, for an unknown column or a depth outside the stack
     """
-    require_known(dict(stated), [s.name for s in sensor_columns(measured)], "--depth", measured.path)
-    return {name: depth_m(name, text, layers) for name, text in stated.items()}
+    sensors = sensor_columns(measured)
+    require_known(dict(stated), [s.name for s in sensors], "--depth", measured.path)
+    of_layout = {s.name: s.declared for s in sensors if s.name not in stated and s.declared and s.declared.depth}
+    depths = {name: depth_m(column.depth or "", layers, column.place("depth")) for name, column in of_layout.items()}
+    return depths | {name: depth_m(text, layers, f"--depth {name}={text}") for name, text in stated.items()}
 
 
-def depth_m(name: str, text: str, layers: Sequence[LayerInput]) -> float:
+def depth_m(text: str, layers: Sequence[LayerInput], place: str) -> float:
     """The depth [m] of a sensor: a length with a unit, `surface`, or `back`.
 
+    place  : what states it, for messages
     raises : InputError, one line, where it is none, or outside the stack
     """
     thickness = _thickness_m(layers)
     if text.strip().lower() in (SURFACE, BACK):
         return 0.0 if text.strip().lower() == SURFACE else thickness
     if re.fullmatch(r"[\d.,]+", text.strip()) and float(text.replace(",", ".")) != 0.0:
-        raise InputError(f"--depth {name}={text}: has no unit; write --depth {name}=0.4mm")
-    depth = quantity(text, "m", f"--depth {name}", f"--depth {name}=0.4mm, {name}={SURFACE} or {name}={BACK}")
+        raise InputError(f"{place}: has no unit; write 0.4mm")
+    depth = quantity(text, "m", place, f"0.4mm, {SURFACE} or {BACK}")
     if not 0.0 <= depth <= thickness * (1.0 + 1e-9):
-        raise InputError(f"--depth {name}={text}: lies outside the stack, which is {thickness * 1e3:g} mm thick")
+        raise InputError(f"{place}: lies outside the stack, which is {thickness * 1e3:g} mm thick")
     return min(depth, thickness)
 
 

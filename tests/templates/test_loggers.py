@@ -656,6 +656,46 @@ def test_what_a_layout_states_wrongly_is_named_by_its_key(stated: str, said: str
     assert said in refused("new", "record", "--csv", "t.csv", *plate, *depth, "--layout", "rig.toml", "--out", "c")
 
 
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ('time = "Zeit"', "rig.toml: `time`: `Zeit`: there is no such column in t.csv"),
+        ('dates = "year-first"', "`13/05/2024 10:00` is not a date with the year first; correct `dates` in rig.toml"),
+        ('[[column]]\nname = "T"\nunit = "K"', "rig.toml, [column] 1: `unit`: `K`, and t.csv says degC; correct one"),
+        (
+            'thermocouple = "K"\nreference_junction = "9000degC"',
+            "t.csv, column emf, `reference_junction` in rig.toml: 9000 degC is outside the reference function of type",
+        ),
+        ('thermocouple = "K"', "rig.toml: `thermocouple`: `K`: needs the temperature of the terminals"),
+    ],
+)
+def test_a_program_is_told_the_key_of_the_layout_that_it_read(stated: str, said: str) -> None:
+    rows("Time,T (degC),emf (mV)", [f"13/05/2024 10:{k:02d},{20 + k},1.5" for k in range(9)])
+    Path("rig.toml").write_text(f'format = "logger-layout/1"\n{stated}\n')
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_measured_csv(Path("t.csv"), layout=read_layout(Path("rig.toml")))
+
+
+def test_an_option_in_place_of_a_key_of_a_layout_is_named_itself() -> None:
+    rows("Time (s),T (degC)", [f"{2 * k},{20 + k}" for k in range(9)])
+    Path("rig.toml").write_text('format = "logger-layout/1"\ntime = "Time"\n')
+    with pytest.raises(InputError, match=r"^--time Zeit: there is no such column"):
+        read_measured_csv(Path("t.csv"), layout=read_layout(Path("rig.toml")), time="Zeit")
+    Path("rig.toml").write_text('format = "logger-layout/1"\ntime_unit = "min"\n')
+    with pytest.warns(UserWarning, match=r"`time_unit` in rig.toml says min.* Leave `time_unit` in rig.toml out"):
+        read_measured_csv(Path("t.csv"), layout=read_layout(Path("rig.toml")))
+
+
+def test_a_layout_keeps_depths_and_units_when_it_is_kept_again() -> None:
+    rows("Time (s);T;U", [f"{2 * k};{60 + k};20" for k in range(9)])
+    stated = '[[column]]\nname = "T"\ndepth = "1mm"\n'
+    Path("rig.toml").write_text(f'format = "logger-layout/1"\ntemperature_unit = "degF"\n{stated}')
+    read = read_measured_csv(Path("t.csv"), layout=read_layout(Path("rig.toml")))
+    write_layout(Path("again.toml"), read.stated, "t.csv", {})
+    (column,) = read_layout(Path("again.toml")).column
+    assert (column.name, column.unit, column.depth) == ("T", "degF", "1mm")
+
+
 def test_a_unit_of_a_layout_that_prevails_is_told_by_its_key(capsys: pytest.CaptureFixture[str]) -> None:
     rows("Time (s),T (degC)", [f"{2 * k},{20 + k}" for k in range(61)])
     Path("rig.toml").write_text('format = "logger-layout/1"\ntime_unit = "min"\n')

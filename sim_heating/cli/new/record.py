@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -174,7 +172,7 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
     """
     from sim_heating.cli.path_check import describe_record
     from sim_heating.templates import record as maker
-    from sim_heating.templates.loggers.layout_file import OPTIONS, read_layout, said_of_layout, write_layout
+    from sim_heating.templates.loggers.layout_file import read_layout, write_layout
     from sim_heating.templates.measured_csv import lost_values, read_measured_csv
 
     if options["like"] is not None:
@@ -183,48 +181,41 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
         raise InputError("--period: must be above 0")
     lamp = options["lamp"]
     kept = None if options["layout_file"] is None else read_layout(options["layout_file"])
-    in_words: Callable[[], AbstractContextManager[None]] = nullcontext
-    if kept is not None:
-        in_words = partial(said_of_layout, options["layout_file"], kept, [k for k in OPTIONS if options[k] is not None])
-        depths = {c.name: c.depth for c in kept.column if c.depth is not None} | depths
     signs = {"tab": "\t", "blank": " "}
-    with in_words():
-        measured = read_measured_csv(
-            csv_file,
-            time=options["time"],
-            time_unit=options["time_unit"],
-            temperatures=options["temperatures"],
-            temperature_unit=options["temperature_unit"],
-            flux_unit=options["flux_unit"],
-            thermocouple=options["thermocouple"],
-            reference_junction=options["reference_junction"],
-            period_s=options["period"],
-            separator=None if options["separator"] is None else signs.get(options["separator"], options["separator"]),
-            decimal=options["decimal"],
-            dates=options["dates"],
-            lost=() if options["lost"] is None else lost_values(options["lost"]),
-            repeated=options["repeated"],
-            sheet=options["sheet"],
-            layout=kept,
-        )
+    measured = read_measured_csv(
+        csv_file,
+        time=options["time"],
+        time_unit=options["time_unit"],
+        temperatures=options["temperatures"],
+        temperature_unit=options["temperature_unit"],
+        flux_unit=options["flux_unit"],
+        thermocouple=options["thermocouple"],
+        reference_junction=options["reference_junction"],
+        period_s=options["period"],
+        separator=None if options["separator"] is None else signs.get(options["separator"], options["separator"]),
+        decimal=options["decimal"],
+        dates=options["dates"],
+        lost=() if options["lost"] is None else lost_values(options["lost"]),
+        repeated=options["repeated"],
+        sheet=options["sheet"],
+        layout=kept,
+    )
     print_table(measured.table())
     print_table(measured.first_rows())
     if options["like"] is not None:
-        with in_words():
-            record, notes = maker.like_record(
-                out,
-                options["like"],
-                measured,
-                depths,
-                options["title"],
-                options["noise"],
-                is_measured=not options["synthetic"],
-            )
+        record, notes = maker.like_record(
+            out,
+            options["like"],
+            measured,
+            depths,
+            options["title"],
+            options["noise"],
+            is_measured=not options["synthetic"],
+        )
     else:
         stack = _stack(layers)
         sensors = maker.sensor_columns(measured)
-        with in_words():
-            depths_m = maker.depths_of(measured, depths, stack)
+        depths_m = maker.depths_of(measured, depths, stack)
         depths_m |= _asked_depths([s.name for s in sensors if s.name not in depths_m], stack, measured.path)
         record, notes = maker.write_new_record(
             out,
@@ -303,10 +294,8 @@ def _asked_depths(names: Sequence[str], stack: Sequence[LayerInput], path: Path)
             f"--depth: is missing for {', '.join(names)} of {display_path(path)}; give the depth from the heated "
             f"surface, `surface` or `back`: {options}"
         )
-    return {
-        name: depth_m(name, click.prompt(f"Depth of {name} from the heated surface (0.4mm, surface, back)"), stack)
-        for name in names
-    }
+    answers = {n: click.prompt(f"Depth of {n} from the heated surface (0.4mm, surface, back)") for n in names}
+    return {name: depth_m(text, stack, f"--depth {name}={text}") for name, text in answers.items()}
 
 
 def _heat(measured: MeasuredCsv, lamp: str | None, options: dict[str, Any]) -> Any:

@@ -10,6 +10,7 @@ import pandas as pd
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path
 from sim_heating.heating.recorded.cells.block import Block, cell_text, of_frame
+from sim_heating.templates.loggers.layout_file import LoggerLayout
 
 KINDS = {b"PAR1": "parquet", b"PK\x03\x04": "xlsx", b"\xd0\xcf\x11\xe0": "xls", b"TDSm": "tdms"}
 """First bytes -> kind of file."""
@@ -25,16 +26,16 @@ def kind_of_file(path: Path) -> str:
         return ""
 
 
-def read_table(path: Path, kind: str, sheet: str | None) -> Block | list[list[str]]:
+def read_table(path: Path, kind: str, layout: LoggerLayout) -> Block | list[list[str]]:
     """The table of a file; rows of cells of a sheet, whose names are yet to be recognised.
 
-    sheet  : of a workbook, or group of a TDMS file; None where it has one alone
+    layout : its `sheet` is that of a workbook, or the group of a TDMS file; None where it has one alone
     raises : InputError, one line, where the library is absent, the file is damaged, or the sheet has to be chosen
     """
     try:
         if kind == "parquet":
             return _parquet(path)
-        return _tdms(path, sheet) if kind == "tdms" else _workbook(path, sheet)
+        return _tdms(path, layout) if kind == "tdms" else _workbook(path, layout)
     except ImportError as error:
         named = re.search(r"dependency '([\w.-]+)'", str(error))  # of pandas, such as for a sheet of LibreOffice
         library = named[1] if named else LIBRARIES[kind]
@@ -55,22 +56,22 @@ def _parquet(path: Path) -> Block:
     return of_frame(path, frame, {}, "Parquet", 1)
 
 
-def _workbook(path: Path, sheet: str | None) -> list[list[str]]:
+def _workbook(path: Path, layout: LoggerLayout) -> list[list[str]]:
     sheets = {
         name: table
         for name, table in pd.read_excel(path, sheet_name=None, header=None, dtype=object).items()
         if table.size
     }
-    name = chosen_name(path, "sheet", [str(s) for s in sheets], sheet)
+    name = chosen_name(path, "sheet", [str(s) for s in sheets], layout)
     return [[cell_text(v) for v in row] for row in sheets[name].itertuples(index=False)]
 
 
-def _tdms(path: Path, group: str | None) -> Block:
+def _tdms(path: Path, layout: LoggerLayout) -> Block:
     from nptdms import TdmsFile
 
     read = TdmsFile.read(str(path))
     groups = {g.name: g for g in read.groups() if any(len(c) for c in g.channels())}
-    channels = groups[chosen_name(path, "group", list(groups), group)].channels()
+    channels = groups[chosen_name(path, "group", list(groups), layout)].channels()
     columns: dict[str, object] = {}
     units: dict[str, str] = {}
     steps = {float(c.properties["wf_increment"]) for c in channels if c.properties.get("wf_increment")}
@@ -88,14 +89,15 @@ def _tdms(path: Path, group: str | None) -> Block:
     return of_frame(path, pd.DataFrame(columns), units, "TDMS", 1)
 
 
-def chosen_name(path: Path, kind: str, names: list[str], chosen: str | None) -> str:
-    """The name that was chosen, or the only one; `kind` it is a name of, such as a sheet, in words.
+def chosen_name(path: Path, kind: str, names: list[str], layout: LoggerLayout) -> str:
+    """The name that the `sheet` of a layout chooses, or the only one; `kind` it is a name of, in words.
 
     raises : InputError, one line with the names, where there is no such name, or none was chosen of several
     """
+    chosen = layout.sheet
     if chosen is not None and chosen not in names:
         raise InputError(
-            f"--sheet {chosen}: there is no such {kind} in {display_path(path)}; it has {', '.join(names)}"
+            f"{layout.place('sheet')}: there is no such {kind} in {display_path(path)}; it has {', '.join(names)}"
         )
     if chosen is None and len(names) != 1:
         listed = ", ".join(names) or "none with cells"

@@ -15,16 +15,12 @@ depth = "back"
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
-from sim_heating.base.errors import reworded
 from sim_heating.base.files import Declared, display_path, read_toml, toml_text, write_text_atomic
 from sim_heating.base.files.schema import schema_line
 from sim_heating.base.files.units import converted
@@ -38,10 +34,6 @@ EXAMPLES = {
     TIME: f"one of {', '.join(('s', 'ms', 'min', 'h', 'us', *CLOCKS))}", TEMPERATURE: "K, degC or degF", FLUX: "W/m2"
 }  # fmt: skip
 """Kind of a column -> units that a message names."""
-OPTIONS = (
-    "dates", "sheet", "time", "time_unit", "temperature_unit", "flux_unit", "thermocouple", "reference_junction"
-)  # fmt: skip
-"""Keys that are options of the command too, and that a message may name."""
 KIND_OF_KEY = {"time_unit": TIME, "temperature_unit": TEMPERATURE, "flux_unit": FLUX}
 
 
@@ -62,6 +54,7 @@ class LayoutColumn(Declared):
     """A column of the recorder's files that is a temperature or a heat flux."""
 
     quantities: ClassVar = {"depth": None}
+    _place: str = PrivateAttr(default="layout")
 
     name: str = Field(min_length=1, description="name in the files, without its unit")
     kind: Literal["temperature", "heat flux"] = Field(default="temperature", description="what it holds")
@@ -74,11 +67,24 @@ class LayoutColumn(Declared):
         kind = info.data.get("kind")  # absent where it is wrong itself
         return _checked(unit, kind) if unit and kind else unit
 
+    @field_validator("depth")
+    @classmethod
+    def _is_of_a_temperature(cls, depth: str | None, info: ValidationInfo) -> str | None:
+        if depth is not None and info.data.get("kind") == FLUX:
+            raise ValueError("a heat flux has no depth; leave it out")
+        return depth
+
+    def place(self, key: str) -> str:
+        """What states a key, for messages: "rig.toml, [column] 1: `name`: `TC1`"."""
+        return f"{self._place}: `{key}`: `{getattr(self, key)}`"
+
 
 class LoggerLayout(Declared):
     """How a recorder writes its files. What is absent is recognised in each file, or refused."""
 
     quantities: ClassVar = {"lost": None, "period_s": None}
+    _file: str = PrivateAttr(default="layout")
+    _options: frozenset[str] = PrivateAttr(default=frozenset())
 
     format: Literal["logger-layout/1"] = "logger-layout/1"
     title: str = Field(default="", description="which recorder, in words")
@@ -114,10 +120,33 @@ class LoggerLayout(Declared):
     def _is_known(cls, unit: str | None, info: ValidationInfo) -> str | None:
         return _checked(unit, KIND_OF_KEY[str(info.field_name)])
 
+    def with_options(self, options: Mapping[str, object]) -> Self:
+        """The layout with keys that options state in its place."""
+        layout = self.model_copy(update=dict(options))
+        layout._options = self._options | set(options)
+        return layout
+
+    def option(self, key: str) -> str:
+        """What states a key, for messages: `--dates`, or "`dates` in rig.toml"."""
+        return f"--{_spelled(key)}" if key in self._options else f"`{key}` in {self._file}"
+
+    def place(self, key: str) -> str:
+        """What states a key, and as what, for messages: `--dates day-first`, or "rig.toml: `dates`: `day-first`"."""
+        value = getattr(self, key)
+        return f"--{_spelled(key)} {value}" if key in self._options else f"{self._file}: `{key}`: `{value}`"
+
+
+def _spelled(key: str) -> str:
+    return key.removesuffix("_s").replace("_", "-")
+
 
 def read_layout(path: Path) -> LoggerLayout:
-    """The layout of a file; InputError, one line a problem, as `read_toml`."""
-    return read_toml(path, LoggerLayout)
+    """The layout of a file, which messages then name; InputError, one line a problem, as `read_toml`."""
+    layout = read_toml(path, LoggerLayout)
+    layout._file = display_path(path)
+    for k, column in enumerate(layout.column, 1):
+        column._place = f"{layout._file}, [column] {k}"
+    return layout
 
 
 def write_layout(path: Path, layout: LoggerLayout, source: str, depths: Mapping[str, str]) -> None:
@@ -130,40 +159,3 @@ def write_layout(path: Path, layout: LoggerLayout, source: str, depths: Mapping[
     kept = layout.model_copy(update={"column": columns, "title": layout.title or f"as {source}"})
     data = {"format": FORMAT} | kept.model_dump(exclude_none=True, exclude_defaults=True)
     write_text_atomic(path, f"{schema_line('logger_layout')}\n{toml_text(data)}")
-
-
-@contextmanager
-def said_of_layout(path: Path, layout: LoggerLayout, options: Collection[str]) -> Iterator[None]:
-    """Name the file of a layout, and its key, in problems and warnings about options that it states.
-
-    path    : of the layout
-    options : those of OPTIONS that options of the command state, which prevail over the layout
-    """
-    shown = partial(_shown, _places(display_path(path), layout, options))
-    with warnings.catch_warnings(record=True) as caught, reworded(shown):
-        yield
-    for told in caught:
-        warnings.warn(shown(str(told.message)), told.category, stacklevel=3)
-
-
-def _places(file: str, layout: LoggerLayout, options: Collection[str]) -> dict[str, str]:
-    """How a message names what a layout states as an option -> how it names the key of the file."""
-    places = {}
-    for k, column in enumerate(layout.column, 1):
-        table = f"{file}, [column] {k}"
-        places[f"--layout: column {column.name}:"] = f"{table}: `name`: `{column.name}`:"
-        places[f"--layout: unit of column {column.name}:"] = f"{table}: `unit`:"
-        places[f"--depth {column.name}={column.depth}:"] = f"{table}: `depth`: `{column.depth}`:"
-    for key in OPTIONS:
-        if (value := getattr(layout, key)) is not None and key not in options:
-            option = f"--{key.replace('_', '-')}"
-            places[f"{option} {value}:"] = f"{file}: `{key}`: `{value}`:"
-            places |= {f"{old} {option}": f"{old} `{key}` in {file}" for old in ("Leave", "correct")}
-            places[f"{option} says"] = f"`{key}` in {file} says"
-    return places
-
-
-def _shown(places: Mapping[str, str], line: str) -> str:
-    for old, new in places.items():
-        line = line.replace(old, new)
-    return line

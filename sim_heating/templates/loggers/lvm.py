@@ -19,6 +19,7 @@ from sim_heating.heating.recorded.cells.block import Block
 from sim_heating.heating.recorded.cells.numbers import shown_cell
 from sim_heating.heating.recorded.cells.text import SEPARATORS, Row, split_lines
 from sim_heating.templates.loggers.files import chosen_name
+from sim_heating.templates.loggers.layout_file import LoggerLayout
 
 END = "***End_of_Header***"
 HEADER_KEYS = re.compile(r"Channels|Samples|Date|Time|[XY]_(Unit_Label|Dimension)|X0|Delta_X|Notes|(Test|UUT)_\w+")
@@ -34,10 +35,10 @@ def is_lvm(text: str) -> bool:
     return text.lstrip().startswith("LabVIEW Measurement")
 
 
-def lvm_block(path: Path, text: str, sheet: str | None = None) -> Block:
+def lvm_block(path: Path, text: str, layout: LoggerLayout) -> Block:
     """The block of a measurement file: one column of time, one a channel, its segments one below the other.
 
-    sheet  : number of a segment, `1` the first; None for all of them
+    layout : its `sheet` is the number of a segment, `1` the first; None for all of them
     raises : InputError, one line, where a header does not end, or nothing states how the segments follow each other
     """
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
@@ -53,9 +54,9 @@ def lvm_block(path: Path, text: str, sheet: str | None = None) -> Block:
         _segment(path, rows[begin:end], rows[end + 1 : next_one], header, sign)
         for begin, end, next_one in zip(begins, ends[1:], [*begins[1:], len(rows)], strict=True)
     ]
-    if sheet is None:
+    if layout.sheet is None:
         return _joined(segments)
-    chosen = chosen_name(path, "segment", [str(k) for k in range(1, len(segments) + 1)], sheet)
+    chosen = chosen_name(path, "segment", [str(k) for k in range(1, len(segments) + 1)], layout)
     block = segments[int(chosen) - 1][0]
     return replace(block, about=f"{block.about}, segment {chosen}")
 

@@ -54,11 +54,12 @@ def is_emf(unit: str) -> bool:
     return bool(unit) and converted(unit, "V") is not None
 
 
-def temperatures_K(letter: str, column: EmfColumn, reference_K: FloatArray | float) -> FloatArray:
+def temperatures_K(letter: str, column: EmfColumn, reference_K: FloatArray | float, junction: str) -> FloatArray:
     """Temperatures of the junction that a column of emf states.
 
     letter      : type of the thermocouple
     reference_K : temperature of the reference junction [K], one for each row or one for all
+    junction    : what states it, for messages
     returns     : (row,) [K], NaN where a sample or its reference is lost
     raises      : InputError with the row of the first emf that no temperature of the type has
 
@@ -67,7 +68,7 @@ def temperatures_K(letter: str, column: EmfColumn, reference_K: FloatArray | flo
     to_volts = converted(column.unit, "V")
     assert to_volts is not None  # `is_emf` was asked
     nodes_K, nodes_V = _reference_function(letter)
-    _check_reference(letter, reference_K, nodes_K, column)
+    _check_reference(letter, reference_K, nodes_K, f"{column.location}, {junction}")
     rising = nodes_K >= ICE_K + LEAST_C.get(letter, COLDEST_C) - 1e-9
     low_K, low_V = nodes_K[rising][0], nodes_V[rising][0]
     total_V = to_volts.factor * column.values + np.interp(reference_K, nodes_K, nodes_V)
@@ -82,14 +83,14 @@ def temperatures_K(letter: str, column: EmfColumn, reference_K: FloatArray | flo
     return np.round(np.interp(total_V, nodes_V[rising], nodes_K[rising]), DIGITS)
 
 
-def _check_reference(letter: str, reference_K: FloatArray | float, nodes_K: FloatArray, column: EmfColumn) -> None:
+def _check_reference(letter: str, reference_K: FloatArray | float, nodes_K: FloatArray, location: str) -> None:
     """Refuse a reference junction outside the reference function."""
     T_K = np.atleast_1d(np.asarray(reference_K, dtype=float))
     outside = T_K[(nodes_K[0] > T_K) | (nodes_K[-1] < T_K)]
     if outside.size:
         raise InputError(
-            f"--reference-junction: {outside[0] - ICE_K:g} degC is outside the reference function of type {letter}, "
-            f"{column.location}; give the temperature of the terminals, such as 25degC"
+            f"{location}: {outside[0] - ICE_K:g} degC is outside the reference function of type {letter}; give the "
+            "temperature of the terminals, such as 25degC"
         )
 
 

@@ -84,12 +84,19 @@ class Clock:
     layout: str
 
 
-def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit: str | None = None) -> Clock | None:
+def clock_of(
+    cells: Sequence[str],
+    location: str,
+    dates: str | None = None,
+    unit: str | None = None,
+    dates_option: str = "--dates",
+) -> Clock | None:
     """Times that the cells of a column state; None where most of them are no clock in any layout that is known.
 
     location : `file, column x`, for messages
     dates    : order of dates as in ORDERS, where it is stated
     unit     : layout of the time of day as in CLOCKS, where it is stated
+    dates_option : what states the order of dates, for messages
     raises   : InputError, one line with a cell and the option that decides, where several layouts fit
     """
     # blanks of no break stand before `a.m.` in stamps of spreadsheets
@@ -112,7 +119,8 @@ def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit
                 name: [m[name] if m is not None else None for m in matches.where(hit, None)]
                 for name in pattern.groupindex
             }
-            return _clock(_Cells(groups, np.flatnonzero(np.asarray(hit)), written, location), dates, unit)
+            cells_of_clock = _Cells(groups, np.flatnonzero(np.asarray(hit)), written, location, dates_option)
+            return _clock(cells_of_clock, dates, unit)
     return None
 
 
@@ -131,12 +139,14 @@ class _Cells(NamedTuple):
     groups   : group of the pattern -> its text in each cell; None where the cell has none
     rows     : those whose cells match
     texts    : of all cells, as the file has them;  location : `file, column x`, for messages
+    dates_option : what states the order of dates, for messages
     """
 
     groups: dict[str, list[str | None]]
     rows: np.ndarray
     texts: pd.Series
     location: str
+    dates_option: str
 
     def strings(self, group: str) -> list[str]:
         """Text of a group in each row; empty where there is none."""
@@ -357,7 +367,7 @@ def _possible_orders(cells: _Cells, dates: str | None) -> list[str]:
     if cells.groups["mark"][int(cells.rows[0])] == "." and not year_first:
         orders = ["day-first"]
     if dates is not None and dates not in orders:
-        raise cells.problem(f"is not a date with the {ORDERS[dates]}; correct --dates")
+        raise cells.problem(f"is not a date with the {ORDERS[dates]}; correct {cells.dates_option}")
     return orders if dates is None else [dates]
 
 
