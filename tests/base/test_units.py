@@ -28,6 +28,19 @@ SPELLINGS = {
     ("s", 2.0, 120.0): ("min", "Min", "minutes", "mins."),
     ("kg/m3", 1.0, 515.378818): ("slug/ft3", "slug/cu.ft", "slugs/ft^3", "slugs per cubic ft"),
     ("m/s", 100.0, 30.48): ("ft/s", "fps", "ft/sec", "feet per second"),
+    ("rad/s", 30.0, 3.14159265359): ("rpm", "RPM", "rev/min", "Rev/Min", "r/min", "U/min", "Upm", "revs per minute"),
+    ("rad/s", 180.0, 3.14159265359): ("deg/s", "°/s", "dps"),
+    ("m3/s", 60.0, 1e-3): ("l/min", "L/min", "lpm", "LPM"),
+    ("m3/s", 100.0, 0.0471947443): ("cfm", "CFM", "ft3/min"),
+    ("V", 5.0, 0.005): ("mV", "mVDC", "mV DC"),
+    ("A", 4.0, 4.0): ("A", "Amp", "amps"),
+    ("ohm", 2.0, 2000.0): ("kOhm", "kohm", "kohms", "kΩ", "k\u2126"),
+    ("ohm", 2.0, 2e6): ("MOhm", "Mohm", "MΩ"),
+    ("Pa", 1.0, 1e5): ("bar", "Bar", "bara", "bar(a)", "bar a", "bar abs"),
+    ("Pa", 1.0, 1000.0): ("kPa", "kPaA", "kPa(a)", "kPa abs"),
+    ("Pa", 750.0, 99991.7763): ("torr", "Torr"),
+    ("N.m", 3.0, 3.0): ("Nm", "N·m", "N m"),
+    ("1", 40.0, 0.4): ("%", "%RH", "% rh", "% r.H."),
 }  # fmt: skip
 """SI unit, number in the unit, number in the SI unit -> spellings."""
 
@@ -52,11 +65,17 @@ def test_a_unit_of_two_readings_is_refused() -> None:
 
 
 def test_a_share_is_a_unit_alone_and_no_factor_of_another() -> None:
-    """`%s` would be a hundredth of a second, and `%rh`, a humidity, 1e-27 of an hour."""
-    for text in ("%s", "% s", "s.%", "percent s", "ppm s", "%rh", "rh", "%K", "K%", "ppm K", "%W/m2", "W/m2 %"):
+    """`%s` would be a hundredth of a second, and `rh`, a humidity, 1e-27 of an hour."""
+    for text in ("%s", "% s", "s.%", "percent s", "ppm s", "rh", "%K", "K%", "ppm K", "%W/m2", "W/m2 %"):
         assert known_unit(text) is None, text
     assert known_unit("%") == known_unit("percent") is not None
     assert converted("%/s", "1/s") is not None
+
+
+def test_a_short_name_that_a_logger_means_otherwise_is_no_unit() -> None:
+    """pint reads them as bar times gram or year, centifemtometre, elementary charges, parsecs, carats."""
+    for text in ("bar(g)", "kPag", "psig", "bar g", "ue", "me", "pcs", "ct", "a", "Nm3/h", "VAC", "counts/ue"):
+        assert known_unit(text) is None, text
 
 
 @pytest.mark.parametrize(

@@ -36,9 +36,15 @@ WORDS = {
     "psi": "psi", "psia": "psi", "gm": "g", "lbm": "lb", "volt": "V", "volts": "V",
     "ft": "ft", "km": "km", "slug": "slug", "deg": "deg", "rad": "rad",
     "sek": "s", "sekunden": "s", "minuten": "min", "stunden": "h",
+    "rev": "turn", "revs": "turn", "rpm": "rpm", "rps": "rps", "upm": "rpm", "dps": "deg/s", "lpm": "L/min",
+    "slpm": "slpm", "sccm": "atm*cm**3/min", "cfm": "ft**3/min", "gpm": "gallon/min", "amp": "A", "amps": "A",
+    "bar": "bar", "bara": "bar", "torr": "torr",
 }  # fmt: skip
 """Words in small letters -> the name that pint knows, whatever the letters are in the file."""
-SIGNS = {"k": "K", "S": "s", "mil": "thou", '"': "inch", "\u2103": "degC", "\u2109": "degF"}
+SIGNS = {
+    "mbara": "mbar", "mBar": "mbar", "mTorr": "mtorr", "k": "K", "S": "s", "mil": "thou", '"': "inch",
+    "\u2103": "degC", "\u2109": "degF",
+}  # fmt: skip
 LETTERS = {"C": "degC", "c": "degC", "F": "degF", "f": "degF", "R": "degR", **SIGNS}
 """Short names that pint takes for another unit, a charge, a capacity, a gas constant or an angle, or does not know."""
 DEGREES = re.compile(
@@ -66,6 +72,19 @@ UNIT_SYNTAX = re.compile(rf"(?:(?:[^\W\d]|[°%])++(?:{POWER})?|\)(?:{POWER})?|(?
 """Names with powers of at most two digits, parentheses, products, quotients, 1 over one: all that pint is given."""
 LATEST_PREFIXES = ("ronto", "ronna", "quecto", "quetta")
 """Prefixes of 2022, which no logger writes: `rh` is a humidity, and no time."""
+OTHER_FIELDS = ("elementary_charge", "parsec", "carat", "number_meter", "enzyme_unit", "year")
+"""Units whose short names a logger means otherwise: `ue` is a strain, `ct` counts, `Nm3/h` a flow of gas, `_a` air."""
+SPELLINGS = (
+    (r"(?<![^\W\d])(?:r|U)/(?=(?:min|s)\b)", "rev/"),  # U for Umdrehung
+    (r"(?<![A-Za-z])([mkuµ]?V) ?(?:DC|dc)\b", r"\1"),
+    (r"(?<![A-Za-z])([mkM]?)(?:[Oo]hms?|OHMS?|[\u03a9\u2126])(?![A-Za-z])", r"\1ohm"),
+    (r"(?i)(pa|bar|psi)(?: *\((?:a|abs)\)| (?:a|abs)\b|(?<=pa)a\b)", r"\1"),
+    (r"(?<![A-Za-z])([kM]?N)m(?![\w^*\u00b2\u00b3])", r"\1*m"),
+    (r"(?i)% *r\.?h\.?(?!\w)|\br\.?h\.? *%", "%"),
+)
+"""Patterns of what loggers write in a unit -> the unit alone: kinds of voltages and pressures, a relative humidity."""
+GAUGE = re.compile(r"(?i)(?:pa|bar|psi) *(?:\(g\)|g\b)")
+"""A pressure over that of the air, which no factor makes one."""
 AMBIGUOUS = re.compile(r"/ *[^()/ .*]+ *[.*] *[^ /]")
 """A product after a quotient, `1/s.m`, which may belong to the numerator or the denominator."""
 
@@ -111,6 +130,8 @@ def _plain(name: str) -> str:
     while (inner := re.fullmatch(r"\(([^()]*)\)|\[([^\[\]]*)\]|<([^<>]*)>", text)) is not None:
         text = next(group for group in inner.groups() if group is not None).strip()
     text = re.sub(r"^([CFKR])[°º]$", r"\1", text)
+    for pattern, plain in SPELLINGS:
+        text = re.sub(pattern, plain, text)
     text = DEGREES.sub(lambda match: SCALES[match[1][0].lower()], text.translate(SUPERSCRIPTS).replace("²", "2"))
     text = re.sub(r"(?i)(?<![a-z])(?:sq\.? *|square +)([a-z]+)", r"\g<1>2", text)
     text = re.sub(r"(?i)(?<![a-z])(?:cu\. *|cu +|cubic +)([a-z]+)", r"\g<1>3", text)
@@ -139,7 +160,7 @@ def known_unit(name: str) -> Scale | None:
     """
     if name in NO_DIMENSION:
         return Scale((), 1.0)
-    if len(name) > LONGEST:
+    if len(name) > LONGEST or GAUGE.search(name) is not None:
         return None
     plain = _plain(name)
     # A plain grammar before pint, which takes `m,s` for a millisecond and fails on `m.` in its tokenizer.
@@ -162,9 +183,9 @@ def known_unit(name: str) -> Scale | None:
 
 
 def _is_written(registry: pint.UnitRegistry[Any], unit: Any) -> bool:
-    """Whether anyone writes such a unit. `%s`, `ppm K` and `%rh` are a share times a unit; `%/s` is a rate."""
+    """Whether anyone writes such a unit. `%s` and `ppm K` are a share times a unit; `%/s` is a rate."""
     powers = dict(dimension_of(dict(registry.Quantity(1.0, unit).unit_items())))
-    if any(name.startswith(LATEST_PREFIXES) for name in powers):
+    if any(name.startswith(LATEST_PREFIXES) or name.endswith(OTHER_FIELDS) for name in powers):
         return False
     sides = ([n for n, power in powers.items() if power > 0.0], [n for n, power in powers.items() if power < 0.0])
     shares = {n for n in powers if not dict(registry.Quantity(1.0, n).to_base_units().unit_items())}
