@@ -40,6 +40,7 @@ from sim_heating.heating.recorded.cells.clocks import (
     possible_clock,
     with_colons,
 )
+from sim_heating.heating.recorded.cells.lists import wide_columns
 from sim_heating.heating.recorded.cells.numbers import (
     Numbers,
     Signs,
@@ -409,18 +410,17 @@ def _long_as_wide(block: Block) -> Block:
     stamps = list(zip(*(block.column(k) for k in times), strict=True))
     if len(set(stamps)) == len(stamps):
         return block
-    readings = _readings_by_stamp(block, stamps, label, value)
-    sensors = list(dict.fromkeys(block.column(label)))
-    by_row = ([*stamp, *(row.get(s, "") for s in sensors)] for stamp, row in readings.items())
+    readings = zip(block.lines, stamps, block.column(label), block.column(value), strict=True)
+    sensors, columns_of_sensors, lines = wide_columns(block.path, readings)
     _, unit = name_and_unit(block.names[value], list(SI_UNITS.values()))
     names = [f"{s} [{unit}]" for s in sensors] if unit else sensors
-    first = {stamp: i for i, stamp in reversed(list(enumerate(stamps)))}
+    columns_of_time = map(list, zip(*dict.fromkeys(stamps), strict=True))
     return replace(
         block,
         names=(*(block.names[k] for k in times), *names),
         units=(*(block.units[k] for k in times), *[block.units[value]] * len(sensors)),
-        cells=tuple(map(list, zip(*by_row, strict=True))),
-        lines=tuple(block.lines[first[stamp]] for stamp in readings),
+        cells=(*columns_of_time, *columns_of_sensors),
+        lines=lines,
         about=f"{block.about}, one row a sensor",
     )
 
@@ -452,23 +452,6 @@ def _may_name_sensors(block: Block, k: int) -> bool:
     words = r"(?i)sensor|channel|name|id|probe|series|field|metric|tc|thermo|point|location|signal|variable|tag"
     names = set(block.column(k))
     return re.search(words, block.names[k]) is not None and 2 <= len(names) <= max(2, len(block.lines) // 3)
-
-
-def _readings_by_stamp(
-    block: Block, stamps: Sequence[tuple[str, ...]], label: int, value: int
-) -> dict[tuple[str, ...], dict[str, str]]:
-    """Readings by time and name of the sensor.
-
-    raises : InputError where a sensor has two readings at one time
-    """
-    readings: dict[tuple[str, ...], dict[str, str]] = {}
-    for i, (stamp, name) in enumerate(zip(stamps, block.column(label), strict=True)):
-        row = readings.setdefault(stamp, {})
-        if name in row:
-            rule = f"`{name}` has a second reading at one time; remove one"
-            raise InputError(f"{block.at(i, block.names[label])}: {rule}")
-        row[name] = block.column(value)[i]
-    return readings
 
 
 # Heads and cells -----------------------------------------------------------------------------------------------------

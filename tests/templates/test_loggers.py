@@ -1110,3 +1110,71 @@ def test_a_time_with_points_that_is_none_is_named_as_the_file_has_it() -> None:
         rows("Zeit;TC1 (C)", [f"{date}10.{57 + k}.{99 if k == 2 else 30};{20 + k}" for k in range(3)])
         with pytest.raises(InputError, match=rf"column Zeit: `{re.escape(date)}10\.59\.99` is no time of day"):
             read_measured_csv(Path("t.csv"))
+
+
+# Lists of readings ---------------------------------------------------------------------------------------------------
+
+
+def almemo(i: int, T: float, label: str = "  wall") -> str:
+    return f"10:45:{2 * i:02d} 00: +{T:07.2f} °C{label}\n         01: +{T + 1:07.2f} °C"
+
+
+def influx(i: int, T: float) -> str:
+    ns = f"{1714733100 + 2 * i}000000000"
+    return f"rig,sensor=TC1,host=a value={T:.2f} {ns}\nrig,sensor=TC2,host=a value={T + 1:.2f} {ns}"
+
+
+def keysight(i: int, T: float) -> str:
+    return f"{T:+.8E} C,{2 * i:+.8E},101,0,{T + 1:+.8E} C,{2 * i:+.8E},102,0"
+
+
+def datataker(i: int, T: float) -> str:
+    return f'D,081044,"JOB1",2024/05/03,10:45:{2 * i:02d},0.000366,0;A,0,{T:.4f},{T + 1:.4f};0072;9F1C'
+
+
+@pytest.mark.parametrize(
+    ("head", "form", "names"),
+    [
+        ("DATUM:   05.03.24\n", almemo, ["00 wall", "01"]),
+        ("# CONTEXT-DATABASE: rig\n", influx, ["TC1", "TC2"]),
+        ("", keysight, ["CH101", "CH102"]),
+        ("", datataker, ["A1", "A2"]),
+    ],
+    ids=["ALMEMO", "InfluxDB line protocol", "Keysight", "dataTaker fixed format"],
+)
+@pytest.mark.filterwarnings("ignore:.*no unit is stated")
+def test_a_list_of_readings_is_a_column_for_each_sensor(
+    head: str, form: Callable[[int, float], str], names: list[str]
+) -> None:
+    Path("t.txt").write_bytes((head + rows_of(form)).encode("cp1252"))
+    stated = {"temperatures": tuple(names)} if form is datataker else {}  # it names and states nothing
+    measured = read_measured_csv(Path("t.txt"), **stated)  # type: ignore[arg-type]
+    np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0), atol=1e-6)
+    for k, (name, column) in enumerate(zip(names, measured.of_kind(TEMPERATURE), strict=True)):
+        assert column.name == name
+        np.testing.assert_allclose(column.si, CHANNEL_K + k, atol=0.006)
+
+
+def test_an_almemo_list_of_one_sensor_is_its_column() -> None:
+    first = rows_of(lambda i, T: almemo(i, T, "  " + "<>"[i % 2]).splitlines()[0])  # marks of limits name no sensor
+    Path("t.txt").write_text("ZEIT DATUM: 05.03.24\n" + first, encoding="utf-8")
+    (column,) = read_measured_csv(Path("t.txt")).of_kind(TEMPERATURE)
+    np.testing.assert_allclose(column.si, CHANNEL_K, atol=0.006)
+
+
+@pytest.mark.parametrize(
+    ("form", "change", "said"),
+    [
+        (almemo, lambda text: text.replace("10:45:06", "end of page\n10:45:06"), "row 8: `end of page` is no reading"),
+        (almemo, lambda text: text.replace("01: +0023.40 °C", "01: +0023.40 °F"), "row 7: `01` has the unit °F, and"),
+        (influx, lambda text: text.replace("TC2", "TC1"), "row 3: `value` has a second reading at one time"),
+        (keysight, lambda text: text.replace(",102,0\n", ",102,0,Open\n", 3), "row 2: `Open` is no reading with unit"),
+    ],
+)
+def test_a_line_that_is_none_of_its_list_is_named(
+    form: Callable[[int, float], str], change: Callable[[str], str], said: str
+) -> None:
+    Path("t.txt").write_text(change("\n" + rows_of(form)), encoding="utf-8")
+    with pytest.raises(InputError) as refusal:
+        read_measured_csv(Path("t.txt"))
+    assert said in str(refusal.value)

@@ -15,6 +15,7 @@ from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import converted, known_unit
 from sim_heating.heating.recorded.cells.block import Block
 from sim_heating.heating.recorded.cells.json_rows import is_json, json_block
+from sim_heating.heating.recorded.cells.lists import list_block
 from sim_heating.heating.recorded.cells.tecplot import is_tecplot, tecplot_block
 
 
@@ -134,6 +135,8 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
         return json_block(path, text)
     if is_tecplot(text):
         return tecplot_block(path, text)
+    if (block := list_block(path, text)) is not None:
+        return block
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = (SIGN_APART.sub(r"\1\2", text) if "+ " in text or "- " in text else text).split("\n")
     numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;")]
