@@ -76,6 +76,7 @@ from sim_heating.templates.quantities import quantity
 
 UNUSED = "not used"
 """Kind of a column that is none of those of a layout."""
+SAYS_NOTHING = "name and unit say nothing"
 UNIT_KEYS = {TIME: "time_unit", TEMPERATURE: "temperature_unit", FLUX: "flux_unit"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
@@ -108,6 +109,12 @@ UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigm
 """Pattern of the names of columns that hold the uncertainty of others."""
 DIFFERENCE = r"(?i)(^|[^a-z])(delta|diff(erence)?|rise|change)([^a-z]|$)|[Δ∆]|^d[Tt]([^a-z].*)?$"
 """Pattern of the names of columns that hold differences of temperatures, which have no zero."""
+REDUCED = (
+    r"(?i)(?P<stem>.*?)(?:[ _.(-]+|(?<=\d)|(?<=^t))(?P<how>{how})\.?\)?(?P<index>(?:[ _]?[(\[]\d+[)\]])?)",
+    r"(?i)(?P<how>{how})\.?(?:[ _-]+(?P<stem>.*?))?(?P<index>)",
+)
+"""Patterns of names that state how the samples of a channel were reduced, such as `TC1_Avg`, `CH001 Max`."""
+AVERAGE, EXTREME = "avg|ave|average|mean|mittel(?:wert)?|smp|sample|last", "min(?:imum)?|max(?:imum)?"
 UNIT_COLUMN = r"(?i)(.*[ _.])?(?:units?|einheit)"
 """Pattern of the name of a column of units; `Ch1_Unit` is that of `Ch1_Value`."""
 FACTOR = r"(?i)(.*?) ?([x*\u00d7] ?10+)"
@@ -297,9 +304,11 @@ def read_measured_csv(
     heads, signs = _heads(block, chosen)
     heads = _joined_dates(heads)
     heads, junction = _emf_as_temperature(block, heads, chosen)
-    columns = _unused([_column(h) for h in heads], {junction}, "reference junction")
+    columns = _without_extremes(_unused([_column(h) for h in heads], {junction}, "reference junction"))
     columns = _as_declared(path, columns, base)
     columns = _as_chosen(path, columns, chosen, temperatures, flux)
+    if TEMPERATURE in kinds and not temperatures and not base.column:
+        _require_one_reading(path, columns)
     clock, zero_s, notes = _time(block, heads, columns, chosen)
     others = [c for c in columns if c.name != clock.name]
     others = _unused(others, {c.name for c in others if c.kind == TIME}, "another column is the time")
@@ -597,10 +606,48 @@ def _kind_of(head: _Head) -> tuple[str, str, str]:
     if by_unit != UNUSED and not may_be_a_minimum:
         return by_unit, unit, head.emf or f"unit {unit}"
     if by_name == UNUSED:
-        return UNUSED, "", "name and unit say nothing"
+        return UNUSED, "", SAYS_NOTHING
     if by_name != TIME and re.search(NO_READING, name):
         return UNUSED, "", "accompanies readings, by its name"
     return by_name, "", f"name `{name}`"
+
+
+def _channel(column: CsvColumn) -> tuple[str, bool]:
+    """Name of the channel of a column, and whether the column is its minimum or maximum."""
+    for how in (EXTREME, AVERAGE):
+        for pattern in REDUCED:
+            if match := re.fullmatch(pattern.format(how=how), column.name):
+                return (match["stem"] or "") + match["index"], how == EXTREME
+    return column.name, False
+
+
+def _without_extremes(columns: Sequence[CsvColumn]) -> list[CsvColumn]:
+    """Columns without the minimum and the maximum of a channel of which one column is the reading, or its average."""
+    channels = {c.name: _channel(c) for c in columns}
+    read = Counter((c.kind, channels[c.name][0]) for c in columns if not channels[c.name][1])
+    return [
+        replace(c, kind=UNUSED, reason=f"an extreme of {channels[c.name][0]}, of which another column is the reading")
+        if channels[c.name][1] and c.kind in (TEMPERATURE, FLUX) and read[c.kind, channels[c.name][0]] == 1
+        else c
+        for c in columns
+    ]
+
+
+def _require_one_reading(path: Path, columns: Sequence[CsvColumn]) -> None:
+    """Refuse several temperatures of one channel, such as its minimum and its maximum.
+
+    raises : InputError with the option that names one
+    """
+    channels: dict[str, list[CsvColumn]] = {}
+    for column in columns:
+        channel, is_extreme = _channel(column)
+        if column.kind == TEMPERATURE or (is_extreme and column.reason == SAYS_NOTHING):
+            channels.setdefault(channel, []).append(column)
+    for readings in channels.values():
+        if len(readings) > 1 and any(c.kind == TEMPERATURE for c in readings):
+            rule = "are readings of one channel; name the column of each channel that is read, --temperature"
+            names = [c.name for c in readings]
+            raise InputError(f'{display_path(path)}: {", ".join(names)} {rule} "{names[-1]}"')
 
 
 def _kind_by_unit(unit: str) -> str:
@@ -758,7 +805,7 @@ def _time(
 
 def _may_be_time(column: CsvColumn) -> bool:
     """Whether a column of which nothing is known increases from row to row."""
-    says_nothing = column.kind == UNUSED and column.reason.startswith("name and unit")
+    says_nothing = column.kind == UNUSED and column.reason.startswith(SAYS_NOTHING)
     return says_nothing and bool(np.all(np.diff(column.values) > 0.0))
 
 

@@ -1155,6 +1155,37 @@ def test_a_list_of_readings_is_a_column_for_each_sensor(
         np.testing.assert_allclose(column.si, CHANNEL_K + k, atol=0.006)
 
 
+EXTREMES = {
+    "above": '"Tag","","","wall","wall"\n"Unit","","","C","C"\n"Date","Time","sec","Min","Max"\n',
+    "merged": '"Tag","","","wall",""\n"Unit","","","C",""\n"Date","Time","sec","Min","Max"\n',
+    "names": '"Date","Time","sec","wall Min","wall Max"\n"","","","C","C"\n',
+    "below": '"Date","Time","sec","wall","wall"\n"","","","C","C"\n"","","","Min","Max"\n',
+}
+
+
+@pytest.mark.parametrize("head", EXTREMES)
+def test_least_and_greatest_readings_of_a_channel_are_no_two_sensors(head: str) -> None:
+    body = rows_of(lambda i, T: f"2024/05/13,10:45:{2 * i:02d},000,{T:.2f},{T + 1:.2f}")
+    Path("t.csv").write_text(EXTREMES[head] + body)
+    with pytest.raises(InputError, match=r'wall Min, wall Max are readings of .* --temperature "wall Max"'):
+        read_measured_csv(Path("t.csv"))
+    (column,) = read_measured_csv(Path("t.csv"), temperatures=("wall Max",), temperature_unit="degC").of_kind(
+        TEMPERATURE
+    )
+    np.testing.assert_allclose(column.si, CHANNEL_K + 1.0, atol=0.006)
+
+
+@pytest.mark.parametrize(
+    "names", ["TC1_Min (C),TC1_Max (C),TC1_Avg (C)", "Min (C),Max (C),Mean (C)", "Tmin_C,Tmax_C,T_C"]
+)
+def test_the_average_of_a_channel_is_read_beside_its_extremes(names: str) -> None:
+    Path("t.csv").write_text(f"Time (s),{names}\n" + rows_of(lambda i, T: f"{2 * i},{T - 1:.2f},{T + 1:.2f},{T:.2f}"))
+    measured = read_measured_csv(Path("t.csv"))
+    (column,) = measured.of_kind(TEMPERATURE)
+    np.testing.assert_allclose(column.si, CHANNEL_K, atol=0.006)
+    assert sum("of which another column is the reading" in c.reason for c in measured.columns) == 2
+
+
 def test_an_almemo_list_of_one_sensor_is_its_column() -> None:
     first = rows_of(lambda i, T: almemo(i, T, "  " + "<>"[i % 2]).splitlines()[0])  # marks of limits name no sensor
     Path("t.txt").write_text("ZEIT DATUM: 05.03.24\n" + first, encoding="utf-8")

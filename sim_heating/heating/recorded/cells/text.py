@@ -469,10 +469,22 @@ def _head(
         names, units = (_filled(split[k][1], width) for k in (1, 2))
         return names, ["" if known_unit(u) is None else u for u in units], split[1][0]
     rows = _rows_above(file, split, first, width, lines)
-    if rows and all(c.lower() in PROCESS for c in rows[0][1]):
-        rows = rows[1:]
-    if not rows:
+    if len(rows) > 1 and all(c.lower() in PROCESS for c in rows[0][1]):
+        names, units, line = _names_and_units(rows[1:])
+        reduced = [
+            f"{name} {process}" if names.count(name) > 1 else name
+            for name, process in zip(names, rows[0][1], strict=True)
+        ]
+        return reduced, units or none, line
+    if not rows or all(c.lower() in PROCESS for c in rows[0][1]):
         return [f"column{k + 1}" for k in range(width)], none, 0
+    names, units, line = _names_and_units(rows)
+    return names, units or none, line
+
+
+def _names_and_units(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[str], list[str], int]:
+    """Names and units of the rows above the data, the nearest first, and the line of the names; no units where no row
+    has them."""
     if len(rows) > 1 and _are_names_above(rows):
         return rows[1][1], [c.strip() for c in rows[0][1]], rows[1][0]
     for k, (_, cells) in enumerate(rows[:2]):
@@ -480,16 +492,20 @@ def _head(
         if others and _is_unit_row(cells) and not _is_label_of_units(cells[0]):
             line, names = max(others, key=lambda row: _count_of_names(row[1]))
             return names, [c.strip() for c in cells], line
-    return _with_names_above(rows), _labelled_units(rows) or none, rows[0][0]
+    return _with_names_above(rows), _labelled_units(rows), rows[0][0]
 
 
 def _with_names_above(rows: Sequence[tuple[int, list[str]]]) -> list[str]:
     """Names of the row right above the data, and for its empty cells those of the nearest row that has them, such as
-    `Tag,,,wall,back` above `Date,Time,ms,,`; a row of units has none."""
+    `Tag,,,wall,back` above `Date,Time,ms,,`; a row of units has none. `Min` and `Max` stand behind the name above."""
     names = list(rows[0][1])
+    reduced = [k for k, name in enumerate(names) if name and name.lower() in PROCESS]
     for _, cells in rows[1:]:
         if not _is_label_of_units(cells[0]):
             names = [name or cell for name, cell in zip(names, cells, strict=True)]
+            of_channel = {k: cells[k] or (cells[k - 1] if k - 1 in reduced else "") for k in reduced}
+            for k in (k for k in reduced if names[k].lower() in PROCESS):
+                names[k] = f"{of_channel[k]} {names[k]}".strip()
     return names
 
 
