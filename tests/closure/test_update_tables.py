@@ -189,6 +189,40 @@ def test_the_true_ratio_lies_within_the_bounds_of_the_revised_table(workdir: Pat
         assert abs(after - TRUTH[name]) < 4.0 * narrow, (after, true)
 
 
+def test_an_estimate_that_makes_a_ratio_negative_revises_nothing(
+    workdir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Such a table could be read by no command afterwards, not even by the one that puts it back."""
+    record, known = load_record(workdir / "first"), read_estimate("first.json")
+    values = {"ratio.scale": -0.2, "ratio.d_alpha": 0.03}
+    write_estimate("steep.json", estimate_of(record, values, known.covariance(tuple(TRUTH))))
+    before = contents(workdir)
+    assert main(["update-tables", "steep.json", "--vehicle", "./orbiter"]) == 2
+    assert contents(workdir) == before
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "steep.json: makes the ratio -0.0794 at alpha_deg 35, beta_deg 0, log10_re 6.075 of orbiter/ratio" in line
+    assert "Nothing was written; estimate it again" in line
+
+
+def test_a_revision_edited_to_a_negative_ratio_is_named_by_its_row(
+    workdir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    update_and_write()
+    table = table_of(workdir / "orbiter")
+    rows = table.read_text().splitlines()
+    k = next(i for i, row in enumerate(rows) if row.startswith("40,0,6.075,"))
+    rows[k] = re.sub(r"^((?:[^,]*,){5})", r"\g<1>-", rows[k])
+    table.write_text("\n".join(rows) + "\n")
+    for command in (["validate", "./orbiter"], ["update-tables", "second.json", "--vehicle", "./orbiter"]):
+        before = contents(workdir)
+        assert main(command) == 2
+        assert contents(workdir) == before
+        assert re.search(
+            rf"orbiter/ratio_tables/{POINT}.csv, row {k + 1}, column ratio: -0\.\d+ is not .* check the sign",
+            capsys.readouterr().err,
+        )
+
+
 # Evidence of the estimate on the nodes --------------------------------------------------------------------------------
 
 

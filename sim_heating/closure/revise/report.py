@@ -280,7 +280,8 @@ def _cautions(update: TableUpdate, *, reported_shift: float = 1.0) -> Iterator[s
             )
         negative = int(np.count_nonzero((change.table.ratio < 0.0) & (change.old.ratio >= 0.0)))
         if negative:
-            yield f"{negative} nodes become negative, by little more than correlation with others; see the picture"
+            nodes = "1 node becomes" if negative == 1 else f"{negative} nodes become"
+            yield f"{nodes} negative, within what sigma allows, by correlation with others; see the picture"
 
 
 @replaced_if_undrawable

@@ -46,7 +46,7 @@ from sim_heating.estimation.report.estimate_file import (
     read_estimate,
 )
 from sim_heating.heating.edge_flow import Atoms, EdgeFlow, edge_flow
-from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.heating.ratio.table import RatioTable, is_below_zero, node_in_words
 from sim_heating.heating.ratio.uncertainty import UPDATE_REACH, Posterior, on_axes, posterior
 from sim_heating.inputs.record import Record, load_record, load_records, named_apart, record_digest
 from sim_heating.inputs.vehicle import FOLDER as VEHICLES
@@ -233,6 +233,8 @@ def prepare_update(
     turned = None
     if isinstance(turbulent, TableHistory) and flight.turbulent is not None:
         turned = _change(turbulent, flight.turbulent, header)
+    for change in (laminar, *(() if turned is None else (turned,))):
+        _check_film_coefficients(change, display_path(file))
     effects = effects_from_fit(
         estimate,
         flight,
@@ -282,6 +284,25 @@ def _change(history: TableHistory, measured: FlownRatio | None, header: dict[str
         {k: v for k, v in history.table.header.items() if k != "made_from"} | header,
     )
     return TableChange(history, before, after, table, tested.chi_square, len(tested.innovation))
+
+
+def _check_film_coefficients(change: TableChange, fit: str) -> None:
+    """Refuse a revision with a ratio that no reader of the table would take.
+
+    raises : InputError with the file of the fit, the table, and the most negative such node
+    """
+    table = change.table
+    assert table.sigma is not None
+    below = is_below_zero(table.ratio, table.sigma)
+    if not np.any(below):
+        return
+    node = int(np.argmin(np.where(below, table.ratio, 0.0)))
+    count = f", one of {np.count_nonzero(below)} such nodes" if np.count_nonzero(below) > 1 else ""
+    raise InputError(
+        f"{fit}: makes the ratio {table.ratio.flat[node]:.3g} at {node_in_words(table, node)} of "
+        f"{display_path(change.history.path)}{count}, with sigma {table.sigma.flat[node]:.2g}; film coefficients are "
+        "not negative. Nothing was written; estimate it again, with a prior or without the derivative that does it"
+    )
 
 
 def _records(

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, SURFACES
 from sim_heating.base.errors import InputError, tell
 from sim_heating.base.files import (
@@ -149,15 +149,25 @@ def _remarks(table: RatioTable, where: str) -> list[str]:
     if largest > 0.0 and not RATIOS[0] <= largest <= RATIOS[1]:
         remarks.append(f"{where}, column ratio: the largest is {largest:g} ({RATIOS[0]:g} to {RATIOS[1]:g} is usual)")
     if negative := int(np.count_nonzero(table.ratio < 0.0)):
-        at = np.unravel_index(int(np.argmin(table.ratio)), table.ratio.shape)
-        names = ", ".join(
-            f"{n} {a[i]:g}" for n, a, i in zip(RATIO_VARIABLES, table.axes, at, strict=True) if len(a) > 1
-        )
+        least = int(np.argmin(table.ratio))
         remarks.append(
-            f"{where}, column ratio: {negative} of {table.ratio.size} nodes are negative, down to {table.ratio[at]:g} "
-            f"({names}); no film coefficient is"
+            f"{where}, column ratio: {negative} of {table.ratio.size} nodes are negative, down to "
+            f"{table.ratio.flat[least]:g} ({node_in_words(table, least)}); no film coefficient is"
         )
     return remarks
+
+
+def node_in_words(table: RatioTable, node: int) -> str:
+    """A node of a table by its angles [deg] and log10 Re [-], `alpha_deg 35, log10_re 6`; its place in the raveled grid
+    is given."""
+    at = np.unravel_index(node, table.ratio.shape)
+    axes = zip(RATIO_VARIABLES, table.axes, at, strict=True)
+    return ", ".join(f"{name} {axis[i]:g}" for name, axis, i in axes if len(axis) > 1)
+
+
+def is_below_zero(ratio: FloatArray, sigma: FloatArray) -> BoolArray:
+    """Whether ratios [-] are negative by more than their uncertainty, which a film coefficient is not; same shapes."""
+    return ratio < -NEGATIVE_SIGMAS * np.abs(sigma)
 
 
 @lru_cache(maxsize=TABLES_KEPT)
@@ -233,8 +243,8 @@ def _column_problems(table: CsvTable) -> list[str]:
     least, largest = float(table["ratio"].min()), float(table["ratio"].max())
     sigma = table.columns.get("sigma", np.zeros(len(table)))
     if least < 0.0 < largest:
-        rule = "is not a ratio of film coefficients, which are not negative; check the sign"
-        problems += table.problems_where_not("ratio", table["ratio"] >= -NEGATIVE_SIGMAS * np.abs(sigma), rule)
+        rule = "is not a ratio of film coefficients, which are not negative; check the sign (or sigma, near 0)"
+        problems += table.problems_where_not("ratio", ~is_below_zero(table["ratio"], sigma), rule)
     if least < 0.0 and largest <= 0.0:
         text = f"no ratio is above 0, and the least is {least:g}; film coefficients are not negative, check the sign"
         problems.append(f"{display_path(table.path)}, column ratio: {text}")
