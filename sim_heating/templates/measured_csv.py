@@ -82,7 +82,7 @@ UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", F
 HEADS = (
     (
         TIME,
-        r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow)([^a-z]|$)"
+        r"(?i)(^|[^a-z])((?:unix)?time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow|epoch)([^a-z]|$)"
         rf"|{EAST_ASIAN_TIME}|(?-i:^t$)|^x_value$",
     ),
     (
@@ -100,9 +100,11 @@ HEADS = (
 """Patterns of the names of columns, without their units; the first that fits holds."""
 COUNTER = (
     r"(?i)^(#|no\.?|nr\.?|n|num(ber)?|scan|sweep|record|rec|rn|index|idx|sample|row|line|count(er)?|point|id|messung|"
-    r"alarm.*|lfd.*)( ?(#|no\.?|nr\.?|number))?$"
+    r"(?:time.?)?step|iter(?:ation)?|alarm.*|lfd.*)( ?(#|no\.?|nr\.?|number))?$"
 )
 """Pattern of the names of counters, which are no time, and of alarms."""
+CHANNEL = r"(?i)(?:chan(nel)?|ch|kanal|sensor(?=.))[ _]?(#|no\.?|nr\.?|number|id)?"
+"""Pattern of the name of a column of numbers of channels."""
 NO_READING = r"(?i)alarm|status|flag|valid|quality|batt|volt|humid|^rh|counter"
 """Pattern of the names of columns that accompany readings."""
 UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigma|uncertainty|stdev|std)$"
@@ -403,7 +405,9 @@ def _unit_in_cells(block: Block, k: int) -> str:
 
 def _lacks_unit(name: str) -> bool:
     """Whether a column is one of readings by its name, which states no unit."""
-    readings = rf"{HEADS[3][1]}|{HEADS[4][1]}|[Vv]alue"
+    readings = rf"{HEADS[3][1]}|{HEADS[4][1]}|[Vv]alue|[Rr]eading"
+    if re.fullmatch(COUNTER, name) or re.fullmatch(CHANNEL, name):
+        return False
     return not name_and_unit(name, list(SI_UNITS.values()))[1] and re.search(readings, name) is not None
 
 
@@ -439,13 +443,15 @@ def _columns_of_a_long_table(block: Block) -> tuple[list[int], int, int] | None:
     times, labels, numbers = [], [], []
     for k, name in enumerate(block.names):
         holds = _cells_hold(block.column(k)[:200])
-        if re.search(HEADS[0][1], name):
+        if holds == "number" and re.fullmatch(CHANNEL, name):
+            holds = "text"
+        if holds == "clock" or re.search(HEADS[0][1], name):
             times += [k] if holds != "text" else []
         elif holds == "number" and not re.fullmatch(COUNTER, name):
             numbers.append(k)
         if holds == "text" and _may_name_sensors(block, k):
             labels.append(k)
-    called = [k for k in numbers if re.fullmatch(r"(?i)_?values?", block.names[k])]
+    called = [k for k in numbers if re.fullmatch(r"(?i)_?(values?|readings?)", _bare(block.names[k]))]
     numbers = called or numbers  # beside a reading may stand the number of its table
     return (times, labels[0], numbers[0]) if len(labels) == len(numbers) == 1 and times else None
 
@@ -460,7 +466,12 @@ def _cells_hold(cells: Sequence[str]) -> str:
 def _may_name_sensors(block: Block, k: int) -> bool:
     words = r"(?i)sensor|channel|name|id|probe|series|field|metric|tc|thermo|point|location|signal|variable|tag"
     names = set(block.column(k))
-    return re.search(words, block.names[k]) is not None and 2 <= len(names) <= max(2, len(block.lines) // 3)
+    may_be_one = not block.has_names or re.search(words, block.names[k]) is not None
+    return may_be_one and 2 <= len(names) <= max(2, len(block.lines) // 3)
+
+
+def _bare(name: str) -> str:
+    return name_and_unit(name, list(SI_UNITS.values()))[0]
 
 
 # Heads and cells -----------------------------------------------------------------------------------------------------
@@ -602,6 +613,8 @@ def _kind_of(head: _Head) -> tuple[str, str, str]:
             return UNUSED, "", f"{meaning}, by its name"
     if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
         return UNUSED, "", "a counter, by its name"
+    if re.fullmatch(CHANNEL, name) and by_unit == UNUSED and _are_channels(head.numbers.values):
+        return UNUSED, "", "numbers of channels, by its name"
     may_be_a_minimum = (by_unit, by_name) == (TIME, TEMPERATURE) and unit.strip().lower() == "min"
     if by_unit != UNUSED and not may_be_a_minimum:
         return by_unit, unit, head.emf or f"unit {unit}"
@@ -648,6 +661,11 @@ def _require_one_reading(path: Path, columns: Sequence[CsvColumn]) -> None:
             rule = "are readings of one channel; name the column of each channel that is read, --temperature"
             names = [c.name for c in readings]
             raise InputError(f'{display_path(path)}: {", ".join(names)} {rule} "{names[-1]}"')
+
+
+def _are_channels(values: FloatArray) -> bool:
+    """Whether numbers are whole, and few different ones, as those of channels are."""
+    return bool(np.all(values % 1.0 == 0.0)) and len(np.unique(values)) <= max(1, len(values) // 3)
 
 
 def _kind_by_unit(unit: str) -> str:

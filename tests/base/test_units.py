@@ -85,6 +85,7 @@ def test_a_short_name_that_a_logger_means_otherwise_is_no_unit() -> None:
         ("Temp, °F (LGR S/N: 1, SEN S/N: 1)", "Temp", "°F"), ("q_kW_m2", "q", "kW/m2"), ("TC1_C", "TC1", "C"),
         ("TC 1", "TC 1", ""), ("TC1 deg. F", "TC1", "deg. F"), ("T (mV)", "T", "mV"), ("q W/m2", "q", "W/m2"),
         ("Temperature (*C) c:1", "Temperature", "*C"), ("TC_A", "TC_A", ""), ("k", "k", ""),
+        ("T (K), Point: 1", "T Point: 1", "K"), ("TC_Avg(2)", "TC_Avg(2)", ""), ("T, °C", "T", "°C"),
     ],
 )  # fmt: skip
 def test_a_head_is_a_name_and_a_unit(head: str, name: str, unit: str) -> None:

@@ -1186,6 +1186,52 @@ def test_the_average_of_a_channel_is_read_beside_its_extremes(names: str) -> Non
     assert sum("of which another column is the reading" in c.reason for c in measured.columns) == 2
 
 
+LABELLED = {
+    "Channel,Reading (°C),Relative Time (s)": ("{k},{T:.2f},{t}", ["101", "102"]),
+    "entity_id,state,last_changed": (
+        "sensor.tc{k},{T:.2f},2024-03-05T10:45:{t:02d}.000Z",
+        ["sensor.tc101", "sensor.tc102"],
+    ),
+}
+
+
+@pytest.mark.parametrize("head", LABELLED)
+@pytest.mark.filterwarnings("ignore:.*no unit is stated")
+def test_numbers_of_channels_and_names_of_entities_name_sensors(head: str) -> None:
+    form, names = LABELLED[head]
+    rows(head, [form.format(k=k, T=T - 273.15, t=2 * i) for i, T in enumerate(CHANNEL_K) for k in (101, 102)])
+    columns = read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)
+    assert [c.name for c in columns] == names
+    for column in columns:
+        np.testing.assert_allclose(column.si, CHANNEL_K, atol=0.006)
+
+
+def test_a_number_of_a_channel_is_no_temperature_beside_its_reading() -> None:
+    rows(
+        "Channel,Reading,Unit,Time",
+        [f"101,{T - 273.15:.2f},Celsius,10:45:{2 * i:02d}" for i, T in enumerate(CHANNEL_K)],
+    )
+    (column,) = read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)
+    np.testing.assert_allclose(column.si, CHANNEL_K, atol=0.006)
+
+
+@pytest.mark.parametrize(
+    ("head", "form"),
+    [
+        ('"report"\n("Time Step" "T (K)" "flow-time (s)")\n', lambda i, T: f"{i + 1} {T + 273.15:.6f} {2 * i}"),
+        ("% Time (s)            T (K), Point: 1\n", lambda i, T: f"{2 * i:<22}{T + 273.15:.6f}"),
+        ("unixtime,TC1 (C)\n", lambda i, T: f"{1709635500 + 2 * i},{T:.2f}"),
+    ],
+    ids=["Fluent", "COMSOL", "seconds of 1970"],
+)
+def test_histories_of_simulators_are_read_by_their_time(head: str, form: Callable[[int, float], str]) -> None:
+    Path("t.txt").write_text(head + rows_of(form))
+    measured = read_measured_csv(Path("t.txt"))
+    (column,) = measured.of_kind(TEMPERATURE)
+    np.testing.assert_allclose(column.si, CHANNEL_K, atol=0.006)
+    np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
+
+
 def test_an_almemo_list_of_one_sensor_is_its_column() -> None:
     first = rows_of(lambda i, T: almemo(i, T, "  " + "<>"[i % 2]).splitlines()[0])  # marks of limits name no sensor
     Path("t.txt").write_text("ZEIT DATUM: 05.03.24\n" + first, encoding="utf-8")

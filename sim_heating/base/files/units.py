@@ -232,13 +232,14 @@ def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
     (('vel', 'ft/s'), ('T', 'mV'), ('TC 1', ''))
     """
     head = head.strip()
+    inside = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])]\s*(\S.*)", head)
+    is_inside = inside is not None and _converts(inside[2], quantities)
     for pattern in STATED:
         match = re.fullmatch(pattern, head)
-        if match:
+        if match and not (is_inside and known_unit(match[2].strip()) is None) and not match[2].strip().isdigit():
             return match[1].strip(), match[2].strip()
-    inside = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])]\s*(\S.*)", head)
-    if inside and _converts(inside[2], quantities):
-        return f"{inside[1]} {inside[3]}", inside[2]
+    if inside and is_inside:
+        return f"{inside[1]} {inside[3].lstrip(', ')}".strip(), inside[2]
     for first in _endings(head):
         name, ending = head[:first].rstrip("_ "), head[first:].lstrip("_ ")
         if not name:

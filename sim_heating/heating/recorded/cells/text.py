@@ -79,6 +79,8 @@ HAS_BLANK = re.compile(r"\s").search
 """Whether a line holds a blank of any kind."""
 OPEN_QUOTE = re.compile(r'(?:^|[,;\t|])\s*"(?:[^"]|"")*$')
 """A cell that begins with a quote and does not end in the line; another quote may be an inch."""
+QUOTED_LIST = re.compile(r'\s*\(((?:\s*"[^"]*")+)\s*\)\s*')
+"""Names as Fluent lists them, `("Time Step" "wall" "flow-time")`."""
 TIME_WORDS = rf"(?i)time|zeit|date|datum|{EAST_ASIAN_TIME}|^t$|^(elapsed )?sec"
 """Words of the name of a time."""
 HEAD_LINES = 50
@@ -553,6 +555,8 @@ def _head_cells(row: Row, width: int, lines: dict[int, str] | None) -> list[str]
         cells = [cells[0].lstrip("#% "), *cells[1:]] if cells[0].lstrip("#% ") else cells[1:]
     elif cells[0] in COMMENT_SIGNS and len(cells) == width + 1:
         cells = cells[1:]
+    if len(cells) != width and lines is not None and (quoted := QUOTED_LIST.fullmatch(lines.get(line, ""))):
+        cells = re.findall(r'"([^"]*)"', quoted[1])
     if len(cells) != width and lines is not None and line in lines:
         wide = re.split(r"\t+|\s{2,}", lines[line].lstrip("#% ").strip())
         cells = wide if len(wide) == width else cells
