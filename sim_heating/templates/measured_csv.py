@@ -82,7 +82,7 @@ UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", F
 HEADS = (
     (
         TIME,
-        r"(?i)(^|[^a-z])((?:unix)?time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow|epoch)([^a-z]|$)"
+        r"(?i)(^|[^a-z])((?:unix)?time(?:s|seconds)?|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow|epoch)([^a-z]|$)"
         rf"|{EAST_ASIAN_TIME}|(?-i:^t$)|^x_value$",
     ),
     (
@@ -127,8 +127,10 @@ RAW = r"(?i)(.+?)[_ ]((?:[muµ]v|volts?|[mk]?ohms?|ma|counts?|cts|raw|adc|bits?|
 """Pattern of a name that ends in the unit of a signal, which is no temperature yet."""
 ROOM_K, ROOM_C = (278.15, 313.15), (5.0, 40.0)
 """First readings that are taken for those of a room, in K and in degC, where no unit is stated."""
-UNIX_S = (9.4e8, 4.1e9)
-"""Times of the years 2000 to 2099 in seconds since 1970; in ms, us and ns by their sizes."""
+UNIX_S, LABVIEW_S = (9.4e8, 2.9e9), (3.0e9, 4.3e9)
+"""Times from 2000 on in seconds since 1970, in ms, us and ns by their sizes; in seconds since 1904, as of LabVIEW."""
+FROM_1904_S = 2082844800.0
+"""From the beginning of 1904 to that of 1970."""
 DAY_NUMBERS = (36526.0, 73050.0)
 """Days of a spreadsheet, 2000 to 2099."""
 SHORTEST_STEP_S = 1e-3
@@ -920,12 +922,14 @@ def _number_time(
     finite = np.flatnonzero(np.isfinite(values))
     first = float(values[finite[0]])
     unix = time_unit != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
+    of_labview = time_unit == "s" and LABVIEW_S[0] <= first <= LABVIEW_S[1]
     of_calendar = time_unit == "day" and first >= DAY_NUMBERS[0]  # those of Julian and of MATLAB are larger
-    if of_calendar or unix:
+    if of_calendar or unix or of_labview:
         # whole digits first: seconds since 1970 leave few behind the point
         t = np.round((values - first) * scale.factor, 6)
         of_spreadsheet = of_calendar and first <= DAY_NUMBERS[1]
-        zero = scale(first) if unix else (first - 25569.0) * 86400.0 if of_spreadsheet else None
+        zero = (first - 25569.0) * 86400.0 if of_spreadsheet else None
+        zero = scale(first) if unix else first - FROM_1904_S if of_labview else zero
         column = replace(column, values=t, unit="s", reason=f"{reason}, counted from the first", guess=guess)
         return column, zero, []
     low, high, rule = LIMITS["time_s"]
@@ -970,6 +974,8 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
     for unit, size in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if UNIX_S[0] * size <= values.min() and values.max() <= UNIX_S[1] * size:
             return unit, "", f"{column.reason}; {unit} since 1970 by the size"
+    if LABVIEW_S[0] <= values.min() and values.max() <= LABVIEW_S[1]:
+        return "s", "", f"{column.reason}; s since 1904 by the size"
     step = float(np.median(np.diff(values))) if len(values) > 1 else 1.0
     if len(values) > 1 and (clock := possible_clock(values)):
         raise InputError(
@@ -979,7 +985,9 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
     if _are_days(values) and step < 0.05:
         return "day", "", f"{column.reason}; days of a spreadsheet by the size"
     if not SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
-        likely = "ms" if step > LONGEST_STEP_S else "day" if values.min() >= DAY_NUMBERS[0] else "s"
+        likely = (
+            "us" if step > 5e5 else "ms" if step > LONGEST_STEP_S else "day" if values.min() >= DAY_NUMBERS[0] else "s"
+        )
         raise InputError(
             f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are hardly s; "
             f"state it, --time-unit {likely}"

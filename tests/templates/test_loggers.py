@@ -1232,6 +1232,42 @@ def test_histories_of_simulators_are_read_by_their_time(head: str, form: Callabl
     np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
 
 
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda i, T: f"10:45:{2 * i:02d}.000 -> T1: {T:.2f} C T2: {T + 1:.2f} C",
+        lambda i, T: f"[2024-05-03 10:45:{2 * i:02d}] T1 = {T:.2f} C, T2 = {T + 1:.2f} C",
+    ],
+)
+def test_a_terminal_may_stamp_labelled_values(form: Callable[[int, float], str]) -> None:
+    Path("t.txt").write_text(rows_of(form))
+    measured = read_measured_csv(Path("t.txt"))
+    for k, column in enumerate(measured.of_kind(TEMPERATURE)):
+        assert column.name == f"T{k + 1}"
+        np.testing.assert_allclose(column.si, CHANNEL_K + k, atol=0.006)
+    np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
+
+
+def test_labels_that_are_not_told_from_values_lose_no_sensor() -> None:
+    Path("t.txt").write_text(rows_of(lambda i, T: f"10:45:{2 * i:02d}.000 -> T 1: {T:.2f} T 2: {T + 1:.2f}"))
+    with pytest.raises(InputError):
+        read_measured_csv(Path("t.txt"))
+
+
+def test_seconds_of_labview_count_from_1904() -> None:
+    rows("Time,TC1 (C)", [f"{3792480300 + 2 * i},{T - 273.15:.2f}" for i, T in enumerate(CHANNEL_K)])
+    measured = read_measured_csv(Path("t.csv"))
+    assert measured.zero_s == datetime(2024, 3, 5, 10, 45, tzinfo=UTC).timestamp()
+
+
+def test_a_java_date_has_its_zone_before_the_year() -> None:
+    rows(
+        "t_stamp,TC1 (C)", [f"Tue Mar 05 10:45:{2 * i:02d} CET 2024,{T - 273.15:.2f}" for i, T in enumerate(CHANNEL_K)]
+    )
+    measured = read_measured_csv(Path("t.csv"))
+    assert measured.zero_s == datetime(2024, 3, 5, 9, 45, tzinfo=UTC).timestamp()
+
+
 def test_an_almemo_list_of_one_sensor_is_its_column() -> None:
     first = rows_of(lambda i, T: almemo(i, T, "  " + "<>"[i % 2]).splitlines()[0])  # marks of limits name no sensor
     Path("t.txt").write_text("ZEIT DATUM: 05.03.24\n" + first, encoding="utf-8")

@@ -61,8 +61,8 @@ STAMP = re.compile(
 DOTTED = re.compile(r"(\d{1,2})\.(\d{2})(\.\d{2})?(?:,\d+)?")
 """Time of day with points in place of colons, or a number, or a date."""
 OF_DAY = re.compile(rf"'?{TIME}{HALF}{OFFSET}")
-CTIME = re.compile(r"([A-Za-z]{3}) +(\d{1,2}) (\d{1,2}:\d{2}:\d{2}) (\d{4})$")
-"""The end of a stamp with the year last, `Mon May 13 10:45:00 2024`."""
+CTIME = re.compile(r"([A-Za-z]{3}) +(\d{1,2}) (\d{1,2}:\d{2}:\d{2})( [A-Z]{3,4})? (\d{4})$")
+"""The end of a stamp with the year last, `Mon May 13 10:45:00 CEST 2024`."""
 ALL_BASIC = re.compile(r"(?:19|20)\d{12}(?:[.,]\d+)?")
 """Date and time as one number, yyyymmddhhmmss."""
 
@@ -101,7 +101,7 @@ def clock_of(
     """
     # blanks of no break stand before `a.m.` in stamps of spreadsheets
     plain = (western(cell).replace("\u00a0", " ").replace("\u202f", " ") for cell in cells)
-    written, usual = pd.Series(list(cells), dtype=object), (CTIME.sub(r"\1 \2 \4 \3", cell) for cell in plain)
+    written, usual = pd.Series(list(cells), dtype=object), (CTIME.sub(r"\1 \2 \5 \3\4", cell) for cell in plain)
     series = pd.Series([DOTTED_AFTER_DATE.sub(r"\1:\2:\3", cell) for cell in usual], dtype=object)
     full = series != ""
     if not full.any():

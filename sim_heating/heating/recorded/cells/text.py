@@ -79,6 +79,12 @@ HAS_BLANK = re.compile(r"\s").search
 """Whether a line holds a blank of any kind."""
 OPEN_QUOTE = re.compile(r'(?:^|[,;\t|])\s*"(?:[^"]|"")*$')
 """A cell that begins with a quote and does not end in the line; another quote may be an inch."""
+LABELLED = re.compile(r"([A-Za-z][\w ]*?)\s*[:=]\s*([+-]?\d[^,;\t:=]*?)\s*(?=[,;\t]|\s[A-Za-z]\w*\s*[:=]|$)")
+"""Name and value in `Temp: 20.1 C, Hum: 40`, also without commas."""
+MONITORED = re.compile(
+    r"(?:(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> |\[((?:\d{4}-\d{2}-\d{2} )?\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\] ?)(.*)"
+)
+"""Time of a serial monitor with an arrow, or in brackets, and the text of the device."""
 QUOTED_LIST = re.compile(r'\s*\(((?:\s*"[^"]*")+)\s*\)\s*')
 """Names as Fluent lists them, `("Time Step" "wall" "flow-time")`."""
 TIME_WORDS = rf"(?i)time|zeit|date|datum|{EAST_ASIAN_TIME}|^t$|^(elapsed )?sec"
@@ -189,11 +195,12 @@ def _recorder(lines: Sequence[tuple[int, str]]) -> str:
 
 
 def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], bool]:
-    """Lines of the serial monitor of an Arduino, `10:45:00.512 -> 20.06,20.46`, with a separator for the arrow."""
-    if sum(" -> " in line for _, line in lines[:HEAD_LINES]) < 0.9 * len(lines[:HEAD_LINES]):
+    """Lines of a serial monitor, `10:45:00.512 -> 20.06,20.46` of an Arduino or `[2024-05-03 10:45:00.512] 20.06,20.46`
+    of a terminal, with a separator for the arrow or the brackets."""
+    if sum(" -> " in line or line[0] == "[" for _, line in lines[:HEAD_LINES]) < 0.9 * len(lines[:HEAD_LINES]):
         return lines, False
-    arrow = re.compile(r"(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> (.*)")
-    stamped = [(i, m[1], m[2]) for i, line in lines if (m := arrow.fullmatch(line.strip())) is not None]
+    matches = ((i, MONITORED.fullmatch(line.strip())) for i, line in lines)
+    stamped = [(i, m[1] or m[2], m[3]) for i, m in matches if m is not None]
     if len(stamped) < 0.9 * len(lines):
         return lines, False
     labelled = _labelled_values([text for _, _, text in stamped])
@@ -208,7 +215,9 @@ def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]]
 
 def _labelled_values(texts: Sequence[str]) -> tuple[list[str], list[list[str]]] | None:
     """Names and the values of each line, where all lines are as `Temp: 20.1, Hum: 40` with the same names."""
-    lines = [re.findall(r"([A-Za-z][\w ]*?)\s*[:=]\s*([+-]?\d[^,;\t]*?)\s*(?=[,;\t]|$)", text) for text in texts]
+    lines = [LABELLED.findall(text) for text in texts]
+    if any(LABELLED.sub("", text).strip(" ,;\t") for text in texts):
+        return None  # a label that is none, as of `T 1: 20 T 2: 21`
     if not all(lines) or len({tuple(n for n, _ in pairs) for pairs in lines}) != 1:
         return None
     return [name.strip() for name, _ in lines[0]], [[value for _, value in pairs] for pairs in lines]
