@@ -398,3 +398,10 @@ def test_fields_that_are_no_condition_are_kept_apart():
     fields = read_fields(FLIGHTS / "openrocket_descent.csv")
     assert fields.unused == ("Vertical velocity (m/s)",)
     assert fields.empty == ("Angle of attack (°)",)
+
+
+def test_a_column_of_clocks_without_a_name_is_the_time(tmp_path: Path) -> None:
+    rows = "".join(f"2024-05-03T10:45:{2 * k:02d}Z,{7000 - k}\n" for k in range(9))
+    (tmp_path / "flight.csv").write_text(f",Velocity (m/s)\n{rows}")
+    fields = read_fields(tmp_path / "flight.csv")
+    np.testing.assert_allclose(fields.columns["time_s"], 2.0 * np.arange(9.0))

@@ -349,7 +349,8 @@ def rows_block(
     names, units, names_line = _head(file, split, first, width, recorder, lines)
     sign_text = SEPARATORS.get(sign, f"`{sign}`") if sign else ""
     about = ", ".join(filter(None, [recorder, f"cells separated by {sign_text}" if sign_text else ""]))
-    table = (tuple(names), tuple(units), tuple(columns), tuple(line for line, _ in body))
+    named = tuple(name or f"column{k}" for k, name in enumerate(names, 1))
+    table = (named, tuple(units), tuple(columns), tuple(line for line, _ in body))
     return Block(path, *table, sign, "", names_line, about, tuple(notes))
 
 
