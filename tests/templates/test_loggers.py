@@ -1248,6 +1248,14 @@ def test_a_terminal_may_stamp_labelled_values(form: Callable[[int, float], str])
     np.testing.assert_allclose(measured.of_kind(TIME)[0].si, 2.0 * np.arange(12.0))
 
 
+@pytest.mark.parametrize("row", ["25.1,26.1", "10:45:10.000 >> 25.1,26.1"])
+def test_a_line_of_a_serial_monitor_without_its_time_is_not_lost(row: str) -> None:
+    rows = [f"10:45:{2 * i:02d}.000 -> {20 + i}.1,{21 + i}.1" for i in range(12)]
+    Path("t.txt").write_text("\n".join([*rows[:5], row, *rows[6:]]))
+    with pytest.raises(InputError, match=r"t\.txt, row 6: .* does not have 3 cells as the other rows"):
+        read_measured_csv(Path("t.txt"))
+
+
 def test_labels_that_are_not_told_from_values_lose_no_sensor() -> None:
     Path("t.txt").write_text(rows_of(lambda i, T: f"10:45:{2 * i:02d}.000 -> T 1: {T:.2f} T 2: {T + 1:.2f}"))
     with pytest.raises(InputError):

@@ -82,7 +82,7 @@ OPEN_QUOTE = re.compile(r'(?:^|[,;\t|])\s*"(?:[^"]|"")*$')
 LABELLED = re.compile(r"([A-Za-z][\w ]*?)\s*[:=]\s*([+-]?\d[^,;\t:=]*?)\s*(?=[,;\t]|\s[A-Za-z]\w*\s*[:=]|$)")
 """Name and value in `Temp: 20.1 C, Hum: 40`, also without commas."""
 MONITORED = re.compile(
-    r"(?:(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> |\[((?:\d{4}-\d{2}-\d{2} )?\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\] ?)(.*)"
+    r"(?:(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?) -> |\[((?:\d{4}-\d{2}-\d{2} )?\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\] ?)(.*)"
 )
 """Time of a serial monitor with an arrow, or in brackets, and the text of the device."""
 QUOTED_LIST = re.compile(r'\s*\(((?:\s*"[^"]*")+)\s*\)\s*')
@@ -203,14 +203,17 @@ def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]]
     stamped = [(i, m[1] or m[2], m[3]) for i, m in matches if m is not None]
     if len(stamped) < 0.9 * len(lines):
         return lines, False
+    begun = {i for i, _, _ in stamped}
+    others = [(i, line) for i, line in lines if i > stamped[0][0] and i not in begun]  # refused as rows, not lost
     labelled = _labelled_values([text for _, _, text in stamped])
     if labelled is not None:
         names, values = labelled
         head = ";".join(["time", *names])
-        return [(0, head), *((i, ";".join([t, *v])) for (i, t, _), v in zip(stamped, values, strict=True))], True
+        stated = [(i, ";".join([t, *v])) for (i, t, _), v in zip(stamped, values, strict=True)]
+        return [(0, head), *sorted([*stated, *others])], True
     rest = [(i, text) for i, _, text in stamped]
     sign = _separator(rest) if any(s in text for _, text in rest[:50] for s in ",;\t ") else ";"
-    return [(i, t + sign + text) for i, t, text in stamped], True
+    return sorted([*((i, t + sign + text) for i, t, text in stamped), *others]), True
 
 
 def _labelled_values(texts: Sequence[str]) -> tuple[list[str], list[list[str]]] | None:
