@@ -37,7 +37,7 @@ STEP = 0.02
 """Relative change of the heating for the derivative of the readings [-]."""
 KNOTS_A_TIME = 4.0
 """Knots of slow noise in each of its correlation times."""
-SETTLED, MOST_STEPS = 1e-3, 50
+SETTLED, MOST_STEPS = 1e-3, 100
 """Change of u, in its standard deviations given the readings, at which the inner iteration has converged [-], and its
 most steps."""
 MEMORY = 8
