@@ -92,7 +92,10 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
     envelope, output = _envelope_of(study), _PartOutput(study, folder)
     sigmas, revision, band = envelope.sigmas, files.revision_label(study), _drawn_band(envelope)
     flights = StudyFlights(study, engine, progress, _forecast_evidence(_forecasts(study)))
-    data: dict[str, Any] = {"sigmas": sigmas, "revision": revision, "maps": {}, "boundaries": {}}
+    data: dict[str, Any] = {"sigmas": sigmas, "revision": revision, "members": files.member_data(study)}
+    data |= {"maps": {}, "boundaries": {}}
+    if data["members"]:
+        output.tables.append(files.member_table(study))
     maps = [fly_map(declared, flights) for declared in envelope.map]
     boundaries = [fly_boundary(declared, envelope, flights) for declared in envelope.boundary]
     flights.require_one()

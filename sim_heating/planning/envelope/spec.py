@@ -145,7 +145,8 @@ class EnvelopeBoundary(Declared):
 
 
 class EnvelopeMember(Declared):
-    """An [[envelope.member]]: an estimate that the evidence cannot tell from the others, with its weight.
+    """An [[envelope.member]]: an estimate that the evidence cannot tell from the others, with its weight. The page
+    of the study has a table of all members, and study.json the list `envelope.members`.
 
     estimate : an estimate.json, or a directory with one, relative to the study
     weight   : of the members together, that this one is true
