@@ -242,12 +242,7 @@ def _limited_points(study_path: Path, declared: StudyFile, base: Scenario) -> tu
             if name not in base.names
         ]
     )
-    points = []
-    for name in base.names:
-        point, limit = base.vehicle.control_point(name), limits.get(name, Limit(control_point=name))
-        bondline = point.limits.bondline_K if limit.bondline_K is None else limit.bondline_K
-        points.append(LimitedPoint(point, limit.surface_K or point.limits.surface_K, bondline))
-    return tuple(points)
+    return tuple(limits.get(n, Limit(control_point=n)).limited(base.vehicle.control_point(n)) for n in base.names)
 
 
 def _hash(study_path: Path, declared: StudyFile, base: Scenario, estimates: Sequence[Path]) -> str:
