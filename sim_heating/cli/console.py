@@ -224,14 +224,15 @@ def print_outputs(out: Path, names: Iterable[str], results: str | Mapping[str, A
     """
     names = [n for name in names for n in _files_below(out, name)]
     report_files(out, names)
-    report_results(out / results if isinstance(results, str) else results)
+    contents = out / results if isinstance(results, str) else results
+    report_results(contents)
     pictures = [n for n in names if n.endswith(".png")]
-    files = sorted((n for n in names if not n.endswith(".png")), key=lambda n: (n != "report.html", "/" in n))
+    files = sorted((n for n in names if n not in pictures), key=lambda n: (n != "report.html", "/" in n))
     shown = files if len(files) <= 6 else [*files[:6], f"... {len(names)} files in all, {len(pictures)} of them plots"]
     CONSOLE.print(f"Wrote {out}: {', '.join(shown)}")
     if pictures:
         CONSOLE.print(f"Plots: {', '.join(pictures)}")
-    _print_credibility(out / results if isinstance(results, str) else results)
+    _print_credibility(contents)
 
 
 def _files_below(out: Path, name: str) -> list[str]:
