@@ -13,9 +13,8 @@ probability = 0.95                  # of keeping all limits, by the sigma of the
 
 from __future__ import annotations
 
-import math
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -104,12 +103,6 @@ class OptimalStudy:
     def title(self) -> str:
         """Title of the study."""
         return self.declared.title
-
-
-def without_limits(study: OptimalStudy) -> OptimalStudy:
-    """A study with the temperatures of its points computed and not limited."""
-    points = tuple(LimitedPoint(p.point, math.inf, None) for p in study.points)
-    return replace(study, points=points, declared=study.declared.model_copy(update={"probability": None}))
 
 
 def load_optimal_study(path: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None) -> OptimalStudy:
