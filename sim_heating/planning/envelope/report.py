@@ -100,13 +100,13 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
     boundaries = [fly_boundary(declared, envelope, flights) for declared in envelope.boundary]
     flights.require_one()
     for flown in maps:
-        name, title = _map_file(flown.declared), flown.declared.title or flown.declared.name
+        name, title = _map_file(flown.declared), flown.declared.heading
         files.write_map(output.path(f"{name}.csv"), study, flown)
         output.draw(name, title, partial(plots.draw_map, flown=flown, band=band))
         output.tables.append(files.map_table(flown, study))
         data["maps"][flown.declared.name] = files.map_data(flown, study)
     for boundary in boundaries:
-        name, title = _boundary_file(boundary.declared), boundary.declared.title or boundary.declared.name
+        name, title = _boundary_file(boundary.declared), boundary.declared.heading
         files.write_boundary(output.path(f"{name}.csv"), study, boundary, sigmas)
         output.draw(name, title, partial(plots.draw_boundaries, boundaries={"": boundary}, band=band))
         output.tables.append(files.boundary_table(boundary))
@@ -175,7 +175,7 @@ def _compare_with_before(
         name = later.declared.name
         files.write_boundary(output.path(f"before_{name}.csv"), other, earlier, envelope.sigmas)
         both = {f"before: {files.picture_stamp(other)}": earlier, f"after: {files.picture_stamp(study)}": later}
-        title = f"{later.declared.title or name}, before and after"
+        title = f"{later.declared.heading}, before and after"
         draw = partial(plots.draw_boundaries, boundaries=both, band=_drawn_band(envelope))
         output.draw(f"before_after_{name}", title, draw)
     table, data = compare_areas(before, current)
