@@ -255,7 +255,7 @@ def _print_credibility(results: Path | Mapping[str, Any]) -> None:
             print_warning(line)
 
 
-def print_table(table: Table, style: Callable[[int, int], str] | None = None) -> None:
+def print_table(table: Table, style: Callable[[int, int], str] = lambda _row, _column: "") -> None:
     """Print a table of results.
 
     style : (row, column) -> style of the cell, as `red`; plain where not given
@@ -273,7 +273,5 @@ def print_table(table: Table, style: Callable[[int, int], str] | None = None) ->
             max_width=longest if wrap_heads and not column.is_text else None,
         )
     for i, row in enumerate(texts):
-        rendered.add_row(
-            *(Text(printable(cell), style="" if style is None else style(i, k)) for k, cell in enumerate(row))
-        )
+        rendered.add_row(*(Text(printable(cell), style=style(i, k)) for k, cell in enumerate(row)))
     CONSOLE.print(rendered)
