@@ -190,6 +190,13 @@ class _Coverage:
         """Time [s] of the samples (time,) that are marked."""
         return float(np.sum(self.samples.duration_s[where]))
 
+    def seconds_by_case(self) -> dict[str, float]:
+        """Time [s] within any band of each data set, by its name."""
+        covered: dict[str, BoolArray] = {}
+        for case, _, where in self.covering:
+            covered[case.name] = where | covered.get(case.name, False)
+        return {name: self.seconds(where) for name, where in covered.items()}
+
     @property
     def covering(self) -> list[tuple[ValidationCase, Band, BoolArray]]:
         """Data set, band, and (time,) whether a sample is within it, of each band that some sample is within."""
@@ -216,11 +223,8 @@ def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) ->
         coverage = _Coverage(samples, bands, [band.beyond(samples, computed) for _, band in bands])
         inside += coverage.seconds(coverage.at_nearest(coverage.cost) == 0.0)
         errors += [band.rmse_K / case.rise_K if case.rise_K > 0.0 else 1.0 for case, band, _ in coverage.covering]
-        covered: dict[str, BoolArray] = {}
-        for case, _, where in coverage.covering:
-            covered[case.name] = where | covered.get(case.name, False)
-        for name, where in covered.items():
-            seconds_by_case[name] += coverage.seconds(where)
+        for name, seconds in coverage.seconds_by_case().items():
+            seconds_by_case[name] += seconds
         for name in samples.values:
             d = coverage.at_nearest(np.array([distances[name] for distances in coverage.beyond]))
             _note_distance(outside, name, d, samples.duration_s)
