@@ -28,16 +28,16 @@ from sim_heating.inputs.points import conditions_of_record
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import LinearMarch
 
-SPACING_S, MOST_KNOTS = 10.0, 200
-"""Least distance of knots [s], a sixth of the shortest correlation time, and their largest number.
+SPACING_S, MOST_KNOTS = 5.0, 400
+"""Least distance of knots [s], a twelfth of the shortest correlation time, and their largest number.
 
-The line between knots leaves out tanh(1 / 12) = 8 % of the variance of that process at its middle.
+The line between knots leaves out tanh(1 / 24) = 4 % of the variance of that process at its middle.
 """
 STEP = 0.02
 """Relative change of the heating for the derivative of the readings [-]."""
 KNOTS_A_TIME = 4.0
 """Knots of slow noise in each of its correlation times."""
-SETTLED, MOST_STEPS = 1e-3, 50
+SETTLED, MOST_STEPS = 1e-3, 100
 """Change of u, in its standard deviations given the readings, at which the inner iteration has converged [-], and its
 most steps."""
 MEMORY = 8

@@ -100,7 +100,7 @@ def told_error(trial: TrialFit, *, phase_count: int = 8) -> ToldError | None:
 
     phase_count : consecutive parts of a record whose error is compared
     """
-    record_fit, size = trial.record_fit, trial.size
+    record_fit, size = trial.record_fit, trial.told_size
     error, G = record_fit.model_error, record_fit.error_root_K
     if error is None or size is None or G is None:
         return None
