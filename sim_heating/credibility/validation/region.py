@@ -200,8 +200,8 @@ class _Coverage:
     @property
     def covering(self) -> list[tuple[ValidationCase, Band, BoolArray]]:
         """Data set, band, and (time,) whether a sample is within it, of each band that some sample is within."""
-        within = self.cost == 0.0
-        return [(case, band, where) for (case, band), where in zip(self.bands, within, strict=True) if np.any(where)]
+        inside = self.cost == 0.0
+        return [(case, band, where) for (case, band), where in zip(self.bands, inside, strict=True) if np.any(where)]
 
 
 def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) -> Extrapolation:
