@@ -133,8 +133,9 @@ def closed(directory: Path, answer: Mapping[str, Any]) -> dict[str, Any]:
     from sim_heating.inputs.record import load_record
 
     kept = ("class", "form", "flight", "wall", "effects", "accepted", "separable", "kind", "what", "size",
-            "residual_over_floor", "chi_square", "log_evidence", "noise_floor_K", "noise", "true_rmse_K", "parameters",
-            "true_errors", "reference_condition", "mean_ratio", "world", "model_error")  # fmt: skip
+            "residual_over_floor", "chi_square", "log_evidence", "log_evidence_unknown_times", "noise_floor_K", "noise",
+            "true_rmse_K", "parameters", "true_errors", "reference_condition", "mean_ratio", "world",
+            "model_error")  # fmt: skip
     row = {key: answer[key] for key in kept if key in answer} | {"record": directory.name}
     begun = time.process_time()
     try:

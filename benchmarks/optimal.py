@@ -16,10 +16,11 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.march.history import march_points
+from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.optimal.of_scenario import optimal_table
 from sim_heating.planning.optimal.report import draw_optimal
 from sim_heating.planning.optimal.search import COARSEST, OptimalEntry, fly_optimal
-from sim_heating.planning.optimal.spec import OptimalStudy, load_optimal_study, without_limits
+from sim_heating.planning.optimal.spec import OptimalStudy, load_optimal_study
 from sim_heating.planning.soak import with_soak
 from sim_heating.planning.study import load_study
 from sim_heating.templates.starters import write_new_study
@@ -114,6 +115,12 @@ def _probability_figures(name: str, entry: OptimalEntry) -> list[Figure]:
     least = asked - 3.0 * float(np.sqrt(asked * (1.0 - asked) / DRAWS))
     note = f"{DRAWS} draws of the tables; asked {asked:g} or more"
     return [Figure(f"{name}: limits kept", float(np.mean(kept)), "", least, True, note=note)]
+
+
+def without_limits(study: OptimalStudy) -> OptimalStudy:
+    """A study with the temperatures of its points computed and not limited."""
+    points = tuple(LimitedPoint(p.point, np.inf, None) for p in study.points)
+    return replace(study, points=points, declared=study.declared.model_copy(update={"probability": None}))
 
 
 def first_study() -> OptimalStudy:

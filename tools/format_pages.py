@@ -18,8 +18,8 @@ from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.schema import SCHEMAS, schema_line, schema_path
 from sim_heating.cli import main as sim_heating
 from sim_heating.formats.catalogue import FORMATS, ModelFormat, format_named, formats_with_schema
-from sim_heating.formats.page import format_page, index_page, limits_page
 from sim_heating.formats.schema_files import schema_text
+from tools.format_markdown import format_page, index_page, limits_page
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "reference" / "formats"

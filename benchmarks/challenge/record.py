@@ -83,6 +83,8 @@ SMALL, SMALL_CHI2 = 0.12, (15.0, 80.0)
 """Share of the records whose deviation is small, and its chi-square."""
 IMPERFECT_CHI2 = (16.0, 500.0)
 """Chi-square of a deviation over the true noise, where the model has errors besides."""
+PHASES = 5
+"""Places of its knots over which the covariance of a heating's error is averaged, where these are not known."""
 LEAST_EVIDENCE = 5.0
 """Least log evidence of each of several deviations, where the model has errors besides."""
 SEEN_CHI2 = 300.0
@@ -188,6 +190,11 @@ def _attempt(
     if found is None:
         return None
     bench, drawn, seen = found
+    if world is not None and drawn:
+        whenever = _remainders(replace(bench, unknown=world.unknown(bench, phases=PHASES)), drawn)
+        seen["log_evidence_unknown_times"] = [
+            round(log_evidence(float(left @ left), count(d)), 1) for left, d in zip(whenever, drawn, strict=True)
+        ]
     judged = _judged(rng, bench, drawn, of_class) if imperfect else {}
     deviation_of = [d.deviation for d in drawn]
     if world is not None:
@@ -257,15 +264,14 @@ def _draw_visible(
         drawn.append(one)
     if not families:
         return bench, drawn, {}
-    changes = [bench.change([d]) for d in drawn]
     seen = []
-    for i, change in enumerate(changes):
-        left = bench.remainder(change, *(c for j, c in enumerate(changes) if j != i))
+    for i, left in enumerate(_remainders(bench, drawn)):
         seen.append((over_floor(left), float(left @ left)))
         worth = log_evidence(seen[-1][1], count(drawn[i]))
         if len(families) > 1 and (worth < LEAST_EVIDENCE if imperfect else seen[-1][0] < LEAST):
             return None
-        if families[i].is_slope and bench.beyond_scale(change) < (IMPERFECT_CHI2[0] if imperfect else SEEN_CHI2):
+        beyond = bench.beyond_scale(bench.change([drawn[i]])) if families[i].is_slope else np.inf
+        if beyond < (IMPERFECT_CHI2[0] if imperfect else SEEN_CHI2):
             return None
     return (
         bench,
@@ -277,6 +283,12 @@ def _draw_visible(
             "log_evidence": [round(log_evidence(chi2, count(d)), 1) for (_, chi2), d in zip(seen, drawn, strict=True)],
         },
     )
+
+
+def _remainders(bench: Bench, drawn: Sequence[Drawn]) -> list[FloatArray]:
+    """(reading,) of each deviation after a refit of scale and slopes and of the others' sizes."""
+    changes = [bench.change([d]) for d in drawn]
+    return [bench.remainder(c, *(o for o in changes if o is not c)) for c in changes]
 
 
 def _sized(

@@ -124,14 +124,21 @@ class World:
 
     # What is known of it ----------------------------------------------------------------------------------------
 
-    def unknown(self, bench: Bench) -> FloatArray | None:
-        """(reading, mode) responses over the floors to one standard deviation of each error; None without any."""
+    def unknown(self, bench: Bench, *, phases: int = 1) -> FloatArray | None:
+        """(reading, mode) responses over the floors to one standard deviation of each error; None without any.
+
+        phases : places of the knots that the covariance of the heating's error is the mean of, the true one first:
+                 with several, as it is to somebody who does not know when an arc ends
+        """
         history, plain = bench.case.at(COARSE_S), bench.plain_K
         modes = []
         if self.heating:
-            for shape in self.shapes(history.t).T:
+            apart = self.knots[1] - self.knots[0]
+            longer = np.append(self.knots, self.knots[-1] + apart)
+            placed = [self] + [replace(self, knots=longer - k / phases * apart) for k in range(1, phases)]
+            for shape in np.hstack([world.shapes(history.t) for world in placed]).T:
                 moved = history.indicated(bench.t, Deviation(multiply=1.0 + SMALL_STEP * shape)) - plain
-                modes.append(moved * self.relative / SMALL_STEP)
+                modes.append(moved * self.relative / (SMALL_STEP * np.sqrt(phases)))
         modes += [other.at(COARSE_S).indicated(bench.t) - plain for other in self._other_flights(bench.case)]
         if self.drift_s[0]:
             skew = self.drift_s[0] * (history.t / history.t[-1] - 0.5)

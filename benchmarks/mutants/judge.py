@@ -8,7 +8,6 @@ input, files left behind.
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import hashlib
 import io
@@ -24,15 +23,12 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatch
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
-
-from matplotlib.figure import Figure
-from PIL import Image
 
 from benchmarks.mutants.damage import Damage, damage
 from benchmarks.mutants.subjects import OUT, Command, Subject, available, choose, command_text, execute
@@ -43,8 +39,6 @@ PATIENCE_S = 180.0
 """Wall time after which a process that computes nothing counts as hung [s]; a command that may compute for longer has
 three times that."""
 LONGEST_LINE = 700
-DRAWN = 4
-"""One of so many mutants lays out and renders its pictures: that is two thirds of the time of accepted ones."""
 GOOD = ("accepted", "told", "refused", "failed")
 """What may follow: done, done with a warning of one line, refused in a line, failed in a line."""
 MAY_BE_EMPTY = ("thermocouples.csv",)
@@ -199,33 +193,10 @@ def _warm_up(home: Path, work: Path) -> None:
             whole = Damage("", "", b"")
             file = next(p.relative_to(home).as_posix() for glob in subject.damaged for p in home.glob(glob))
             write_mutant(home, folder, subject, file, Damage(whole.kind, whole.what, (home / file).read_bytes()))
-            with blank_pictures():
-                status = execute(command, folder)
+            status = execute(command, folder)
             if status != 0 and "closure.json" not in command_text(command):
                 raise RuntimeError(f"{command_text(command)} fails on whole files of {subject.format} ({status})")
             shutil.rmtree(folder)
-
-
-@contextlib.contextmanager
-def blank_pictures() -> Iterator[None]:
-    """Within the block figures are made, but neither laid out nor rendered: the file of each has one pixel."""
-    whole = {name: getattr(Figure, name) for name in ("savefig", "get_layout_engine")}
-    pixel = io.BytesIO()
-    Image.new("L", (1, 1)).save(pixel, "PNG")
-
-    def save_blank(_: Figure, stream: io.BytesIO, **settings: Any) -> None:
-        stream.write(pixel.getvalue() if settings["format"] == "png" else b"<svg xmlns='http://www.w3.org/2000/svg'/>")
-
-    _set_methods({"savefig": save_blank, "get_layout_engine": lambda _: None})
-    try:
-        yield
-    finally:
-        _set_methods(whole)
-
-
-def _set_methods(methods: Mapping[str, Callable[..., Any]]) -> None:
-    for name, method in methods.items():
-        setattr(Figure, name, method)
 
 
 def _judge(home: Path, seed: int, number: int, work: Path, output: Path, longest_s: float) -> Result:
@@ -248,8 +219,7 @@ def _judge(home: Path, seed: int, number: int, work: Path, output: Path, longest
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         try:
-            with contextlib.nullcontext() if number % DRAWN == 0 else blank_pictures():
-                status = execute(command, folder)
+            status = execute(command, folder)
         except BaseException:  # the judge of everything
             trace = traceback.format_exc()
     resource.setrlimit(resource.RLIMIT_CPU, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -175,9 +175,13 @@ def _fits_sections(result: CampaignResult) -> list[Section]:
     return [section for point in result.points for section in _point_section(result, point)]
 
 
+def _of_point(rows: Iterable[dict[str, Any]], point: str) -> list[dict[str, Any]]:
+    return [row for row in rows if row["control_point"] == point]
+
+
 def _point_section(result: CampaignResult, point: str) -> list[Section]:
     """Fits of one control point by manoeuvre, the flights together after the single ones, as a table and a picture."""
-    every = [r for r in (*result.fits, *result.joint) if r["control_point"] == point]
+    every = _of_point([*result.fits, *result.joint], point)
     order = [g.name for g in result.groups]
     rows = sorted((r for r in every if "failed" not in r), key=lambda r: order.index(r["group"]))
     points = [f"{r['group']}, {_who(r)}: failed: {r['failed']}" for r in every if "failed" in r]
@@ -383,16 +387,15 @@ def totals(result: CampaignResult) -> Table:
     """Fits and errors in a few numbers, for a terminal."""
     rows = []
     for point in result.points:
-        fits = [r for r in result.fits if r["control_point"] == point]
-        joint = [r for r in result.joint if r["control_point"] == point]
+        fits, joint = _of_point(result.fits, point), _of_point(result.joint, point)
         good = sum(not usable(r) for r in fits)
-        errors = [e for e in result.errors if e["control_point"] == point]
+        errors = _of_point(result.errors, point)
         medians = [
             float(np.median([e[k] for e in errors])) if errors else math.nan
             for k in ("before_K", "after_K", "noise_floor_K")
         ]
-        updates = sum(u["control_point"] == point for u in result.updates)
-        rows.append([point, len(fits), good, len(joint), updates, *medians])
+        updates = _of_point(result.updates, point)
+        rows.append([point, len(fits), good, len(joint), len(updates), *medians])
     columns = [
         Column("control point"),
         Column("fits"),

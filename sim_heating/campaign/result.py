@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +21,11 @@ from sim_heating.credibility.statement import Answer, Statement, assess
 FORMAT = "campaign-report/1"
 IMPROBABLE = 1e-3
 """p-value of the agreement of flights below which they are said to disagree."""
+
+
+def _answer(rows: Sequence[object], failing: Sequence[object], text: str) -> Answer:
+    """Whether there are rows and none fails; text : of how many fail, after the number."""
+    return Answer(bool(rows) and not failing, f"{len(failing)} of {len(rows)} {text}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,21 +72,16 @@ class CampaignResult:
         facts = of_several([facts_of_readings("campaign", r) for r in records])
         done = [r for r in (*self.fits, *self.joint) if "failed" not in r]
         noisy = [r for r in done if not (r["converged"] and r["residual_over_noise"] <= MODEL_ERROR_RATIO)]
-        apart = [r for r in self.joint if r.get("agreement") and r["agreement"]["p_value"] < IMPROBABLE]
         compared = [r for r in self.joint if r.get("agreement")]
+        apart = [r for r in compared if r["agreement"]["p_value"] < IMPROBABLE]
         checked = [e for e in self.errors if e["check"]]
         beyond = [e for e in checked if e["after_K"] > MODEL_ERROR_RATIO * e["noise_floor_K"]]
         facts_of_campaign = replace(
             facts,
             topics=facts.topics | {"estimates", "sensitivities"},
-            consistent=Answer(bool(done) and not noisy, f"{len(noisy)} of {len(done)} fits are not within their noise"),
-            holds=Answer(
-                bool(compared) and not apart, f"{len(apart)} of {len(compared)} groups of flights do not agree"
-            ),
-            varied=Answer(
-                bool(checked) and not beyond,
-                f"{len(beyond)} of {len(checked)} manoeuvres that only check are not predicted within their noise",
-            ),
+            consistent=_answer(done, noisy, "fits are not within their noise"),
+            holds=_answer(compared, apart, "groups of flights do not agree"),
+            varied=_answer(checked, beyond, "manoeuvres that only check are not predicted within their noise"),
             folder=self.campaign.vehicle.directory,
             reviewed=digest_of(self.campaign.vehicle),
         )

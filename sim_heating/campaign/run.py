@@ -313,9 +313,12 @@ def _fit_singles(
     flights = {f.name: f for f in result.fitted_flights}
     for point in result.points:
         for group in result.groups:
-            segments = _segments_of(result, flights, point, group)
-            result.omitted.extend(f"{f.name}, {point}, {m.name}: {s}" for f, m, s in segments if isinstance(s, str))
-            chosen = [(f, m, s) for f, m, s in segments if not isinstance(s, str)]
+            chosen = []
+            for f, m, s in _segments_of(result, flights, point, group):
+                if isinstance(s, str):
+                    result.omitted.append(f"{f.name}, {point}, {m.name}: {s}")
+                else:
+                    chosen.append((f, m, s))
             if not chosen:
                 continue
             condition = joint_reference([f.records[point].with_fit([[s.begin_s, s.end_s]]) for f, _, s in chosen])

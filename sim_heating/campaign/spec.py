@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -220,35 +221,29 @@ def load_campaign(path: str | os.PathLike[str] | Campaign, *, root: str | os.Pat
     vehicle = load_vehicle(vehicle_place(campaign_path, declared.vehicle, root=root), root=root)
     roots = roots_of(campaign_path, root, vehicle.directory)
     raise_problems(_repeated_flights(declared, display_path(campaign_path)))
-    read: dict[Path, Scenario] = {}
+    read = cache(partial(load_scenario, root=root))
     flights, problems = [], []
     for i, source in enumerate(declared.flight, start=1):
         key = "scenario" if source.scenario is not None else "records"
         source_path = roots.named(source.scenario or source.records or "", f"[[flight]] {i}: `{key}`")
+        where = f"{display_path(campaign_path)}, [[flight]] {i}: "
         if not source_path.exists():
-            problems.append(
-                f"{display_path(campaign_path)}, [[flight]] {i}: `{key}`: there is no {display_path(source_path)}"
-            )
-        elif source.scenario is None:
+            problems.append(f"{where}`{key}`: there is no {display_path(source_path)}")
+            continue
+        if source.scenario is None:
             flights.append(FlightInput((), (), source_path, source.check))
-        else:
-            scenario = (
-                read[source_path]
-                if source_path in read
-                else read.setdefault(source_path, load_scenario(source_path, root=root))
+            continue
+        scenario = read(source_path)
+        seeded = (scenario,) if source.seeds is None else tuple(with_seed(scenario, s) for s in source.seeds)
+        flights.append(FlightInput(seeded, tuple(source.seeds or [None]), None, source.check))
+        if scenario.vehicle.name != vehicle.name:
+            problems.append(
+                f"{where}{display_path(source_path)} flies {scenario.vehicle.name}, the campaign revises the tables of "
+                f"{vehicle.name}; they must be one vehicle"
             )
-            seeded = (scenario,) if source.seeds is None else tuple(with_seed(scenario, s) for s in source.seeds)
-            flights.append(FlightInput(seeded, tuple(source.seeds or [None]), None, source.check))
-            if scenario.vehicle.name != vehicle.name:
-                problems.append(
-                    f"{display_path(campaign_path)}, [[flight]] {i}: {display_path(source_path)} flies "
-                    f"{scenario.vehicle.name}, the campaign revises the tables of {vehicle.name}; "
-                    f"they must be one vehicle"
-                )
-    named = declared.control_points or []
     problems += [
         f"{display_path(campaign_path)}: `control_points`: {vehicle.name} has no {name}"
-        for name in named
+        for name in declared.control_points or ()
         if name not in vehicle.control_points
     ]
     names = [s.flight for f in flights for s in f.scenarios]

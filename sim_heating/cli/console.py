@@ -224,14 +224,15 @@ def print_outputs(out: Path, names: Iterable[str], results: str | Mapping[str, A
     """
     names = [n for name in names for n in _files_below(out, name)]
     report_files(out, names)
-    report_results(out / results if isinstance(results, str) else results)
+    contents = out / results if isinstance(results, str) else results
+    report_results(contents)
     pictures = [n for n in names if n.endswith(".png")]
-    files = sorted((n for n in names if not n.endswith(".png")), key=lambda n: (n != "report.html", "/" in n))
+    files = sorted((n for n in names if n not in pictures), key=lambda n: (n != "report.html", "/" in n))
     shown = files if len(files) <= 6 else [*files[:6], f"... {len(names)} files in all, {len(pictures)} of them plots"]
     CONSOLE.print(f"Wrote {out}: {', '.join(shown)}")
     if pictures:
         CONSOLE.print(f"Plots: {', '.join(pictures)}")
-    _print_credibility(out / results if isinstance(results, str) else results)
+    _print_credibility(contents)
 
 
 def _files_below(out: Path, name: str) -> list[str]:
@@ -254,7 +255,7 @@ def _print_credibility(results: Path | Mapping[str, Any]) -> None:
             print_warning(line)
 
 
-def print_table(table: Table, style: Callable[[int, int], str] | None = None) -> None:
+def print_table(table: Table, style: Callable[[int, int], str] = lambda _row, _column: "") -> None:
     """Print a table of results.
 
     style : (row, column) -> style of the cell, as `red`; plain where not given
@@ -272,7 +273,5 @@ def print_table(table: Table, style: Callable[[int, int], str] | None = None) ->
             max_width=longest if wrap_heads and not column.is_text else None,
         )
     for i, row in enumerate(texts):
-        rendered.add_row(
-            *(Text(printable(cell), style="" if style is None else style(i, k)) for k, cell in enumerate(row))
-        )
+        rendered.add_row(*(Text(printable(cell), style=style(i, k)) for k, cell in enumerate(row)))
     CONSOLE.print(rendered)

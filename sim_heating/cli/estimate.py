@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -127,6 +127,24 @@ def _fit_start_s(record: Any, kind: str) -> float:
     return float(min(segments)[0])
 
 
+NOISE = "--process-noise and --ratio-noise"
+APART = {
+    ("--segments", NOISE): "segments are fitted without process noise",
+    ("--segments", "--profile"): "a profile is of one fit",
+    ("--segments", "--model-error"): "segments are fitted without an error of the model",
+    ("--profile", NOISE): "is of a fit without process noise",
+    ("--model-error", NOISE): "is of a fit without process noise",
+}
+"""Options of which one excludes the other, with the reason."""
+
+
+def _refuse_together(stated: Mapping[str, object]) -> None:
+    """raises : InputError for two options that exclude each other;  stated : option -> whether it was given"""
+    for (option, other), reason in APART.items():
+        if stated[option] and stated[other]:
+            raise InputError(f"{option}: {reason}; leave out {other}")
+
+
 def _process_noise(nodes: str | None, ratio: str | None) -> Any:
     """Process noise of `--process-noise` and `--ratio-noise`; None where neither is given."""
     from sim_heating.estimation.filter.process_noise import CORRELATION, FIRST_GUESS, NODE, RATIO, ProcessNoise
@@ -243,6 +261,14 @@ def estimate(
     from sim_heating.base.files import require_writable
 
     noise = _process_noise(node_noise, ratio_noise)
+    _refuse_together(
+        {
+            "--segments": segments is not None,
+            NOISE: noise is not None,
+            "--profile": profiles,
+            "--model-error": model_error,
+        }
+    )
     names = None if parameters is None else list(parameters)
     stated = merged_settings(
         settings_file,
@@ -256,14 +282,6 @@ def estimate(
         tie=tie,
     )
     if segments is not None:
-        if noise is not None:
-            raise InputError(
-                "--segments: segments are fitted without process noise; leave out --process-noise and --ratio-noise"
-            )
-        if profiles:
-            raise InputError("--segments: a profile is of one fit; leave out --profile")
-        if model_error:
-            raise InputError("--segments: segments are fitted without an error of the model; leave out --model-error")
         _estimate_trend(records, out, stated, segments, root, settings_file)
         return
     from sim_heating.closure.prior.model_error import stated_error
@@ -275,12 +293,6 @@ def estimate(
     loaded = load_records(records, root=root)
     with _in_settings(settings_file):
         loaded, starts = _with_segments(loaded, stated)
-    if profiles and noise is not None:
-        raise InputError("--profile: is of a fit without process noise; leave out --process-noise and --ratio-noise")
-    if model_error and noise is not None:
-        raise InputError(
-            "--model-error: is of a fit without process noise; leave out --process-noise and --ratio-noise"
-        )
     files = output_files(loaded, filtered=noise is not None, profiles=bool(profiles))
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
     with progress_line("estimate") as progress, _in_settings(settings_file):

@@ -13,7 +13,7 @@ from sim_heating.cli.output import report_results
 
 if TYPE_CHECKING:
     from sim_heating.base.report.table import Table
-    from sim_heating.formats.page import KeyTable
+    from sim_heating.formats.key_tables import KeyTable
 
 
 @click.command()
@@ -26,7 +26,7 @@ def formats(name: str | None, as_schema: bool) -> None:
     """
     from sim_heating.base.report.table import Column, Table
     from sim_heating.formats.catalogue import FORMATS, ModelFormat, format_named
-    from sim_heating.formats.page import key_tables
+    from sim_heating.formats.key_tables import key_tables
     from sim_heating.formats.schema_files import schema, schema_text
 
     if name is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,6 @@ from sim_heating.thermal.stack import Material
 VEHICLE = "vehicle.toml"
 DESCRIBING = ("title", "source", "confidence", "note")
 """Keys of all formats whose texts describe: no number depends on them, but for the confidence of flight conditions."""
-FORMATS = (
-    "flight-record/1", "vehicle/1", "scenario/1", "campaign/1", "link/1", "study/1", "optimal-entry/1",
-    "logger-layout/1", "credibility/1",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -121,20 +117,9 @@ def _toml(path: Path, root: Path | None) -> CheckedPath:
     if path.name in (DECLARATION, VEHICLE):
         return _directory(path.parent, root)
     data = read_toml_dict(path)
-    if data.get("format") == "scenario/1":
-        return _scenario(path, root)
-    if data.get("format") == "campaign/1":
-        return _campaign(path, root)
-    if data.get("format") == "link/1":
-        return _link(path, root)
-    if data.get("format") == "study/1":
-        return _study(path, root)
-    if data.get("format") == "optimal-entry/1":
-        return _optimal_study(path, root)
-    if data.get("format") == "logger-layout/1":
-        return _layout(path)
-    if data.get("format") == "credibility/1":
-        return _reviews(path)
+    reader = BY_FORMAT.get(str(data.get("format")))
+    if reader is not None:
+        return reader(path, root)
     if (vehicle := _vehicle_of(path)) is not None:
         return _vehicle(vehicle, root)
     if "density_kg_m3" in data:
@@ -243,17 +228,30 @@ def _optimal_study(path: Path, root: Path | None) -> CheckedPath:
     return CheckedPath("study", path, f"study of an optimal entry: {load_optimal_study(path, root=root).title}")
 
 
-def _layout(path: Path) -> CheckedPath:
+def _layout(path: Path, _: Path | None = None) -> CheckedPath:
     from sim_heating.templates.loggers.layout_file import read_layout
 
     layout = read_layout(path)
     return CheckedPath("layout", path, f"layout of a logger: {layout.title or path.stem}")
 
 
-def _reviews(path: Path) -> CheckedPath:
+def _reviews(path: Path, _: Path | None = None) -> CheckedPath:
     from sim_heating.credibility.reviews import ReviewFile
 
     return CheckedPath("reviews", path, f"{len(read_toml(path, ReviewFile).review)} signed reviews")
+
+
+BY_FORMAT: dict[str, Callable[[Path, Path | None], CheckedPath]] = {
+    "scenario/1": _scenario,
+    "campaign/1": _campaign,
+    "link/1": _link,
+    "study/1": _study,
+    "optimal-entry/1": _optimal_study,
+    "logger-layout/1": _layout,
+    "credibility/1": _reviews,
+}
+"""By the key `format` of a TOML file, what checks it: (file, root) -> what it is."""
+FORMATS = ("flight-record/1", "vehicle/1", *BY_FORMAT)
 
 
 def _check_reviews(folder: Path) -> None:

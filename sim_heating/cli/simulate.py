@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,9 @@ from sim_heating.cli.console import (
 if TYPE_CHECKING:
     from sim_heating.base.progress import Progress
     from sim_heating.base.report.table import Table
+    from sim_heating.heating.edge_flow import EdgeFlow
     from sim_heating.inputs.scenario import Scenario
+    from sim_heating.march.point import PointModel
     from sim_heating.planning.bands import Member
     from sim_heating.simulation.predict import Prediction
 
@@ -340,13 +342,15 @@ def predict(
         require_writable(folder, "predict", expected=FILES, inputs=inputs)
     with error_context("--without"):
         absent = left_out(without or ())
-    for record in loaded if revised is None else ():
-        record.require_ratio()
-    models = [
-        (point_of_record(record), None) if revised is None else point_with_vehicle_table(record, revised)
-        for record in loaded
-    ]
-
+    models: list[tuple[PointModel, EdgeFlow | None]]
+    of_vehicle: Iterable[str | None] = ()
+    if revised is None:
+        for record in loaded:
+            record.require_ratio()
+        models = [(point_of_record(record), None) for record in loaded]
+        of_vehicle = () if absent else map(undeclared_effects, loaded)
+    else:
+        models = [point_with_vehicle_table(record, revised) for record in loaded]
     of_bands = _members(members, bands, root) if bands or members else ()
 
     def predicted(progress: Progress) -> list[Prediction]:
@@ -373,7 +377,7 @@ def predict(
     for name, contents in summaries.items():
         if contents["beyond_reference"]:
             print_warning(f"{name}: {contents['beyond_reference']}")
-    for line in filter(None, map(undeclared_effects, loaded if revised is None and not absent else ())):
+    for line in filter(None, of_vehicle):
         CONSOLE.print(line)
     print_outputs(out, map(str, names), "summary.json" if len(summaries) == 1 else {"records": summaries})
 

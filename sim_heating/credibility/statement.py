@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,12 @@ class Answer:
 
 NOT_LOOKED_AT = Answer(False, "not evaluated for this result")
 NO_READINGS = Answer(True, "no readings of its own")
+
+
+def greatest_error_K(errors_K: Iterable[float | None]) -> float | None:
+    """The greatest of some estimated errors [K]; None where one was not estimated."""
+    errors = list(errors_K)
+    return None if None in errors else max(e for e in errors if e is not None)
 
 
 @dataclass(frozen=True)

@@ -84,16 +84,18 @@ def _averaged_readings(record: Record) -> tuple[Record, str]:
     labels = record.fit_mask().astype(np.int8) + 2 * record.holdout_mask().astype(np.int8)
     noise = {s.column: _noise_K(record.thermocouples[s.column], s.noise_sigma_K) for s in record.sensors}
     coarse = [s for s in record.sensors if s.lsb_K > 0.0 and noise[s.column] < DITHER * s.lsb_K]
-    while n > 1 and not coarse:
+    not_averaged = f"{record.name}: {rows} readings, none averaged: {{}}; this takes long"
+    if coarse:
+        return record, not_averaged.format(f"{coarse[0].name} has less noise than a count")
+    while n > 1:
         groups = _groups(labels, n)
         means = {s.column: groups.mean(record.thermocouples[s.column]) for s in record.sensors}
         bent = {s.column: _bent(means[s.column], noise[s.column] / math.sqrt(n)) for s in record.sensors}
         if all(np.mean(b) <= MOST_BENT for b in bent.values()):
             break
         n //= 2
-    if n <= 1 or coarse:
-        why = f"{coarse[0].name} has less noise than a count" if coarse else "the temperature moves between neighbours"
-        return record, f"{record.name}: {rows} readings, none averaged: {why}; this takes long"
+    else:
+        return record, not_averaged.format("the temperature moves between neighbours")
     left_out = int(sum(np.count_nonzero(b) for b in bent.values()))
     readings: Mapping[str, FloatArray] = {
         "time_s": groups.mean(record.time_s),

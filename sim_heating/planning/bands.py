@@ -197,6 +197,35 @@ def heating_sizes(prior: HeatingErrorPrior | None, member: Member) -> ErrorSize 
     return ErrorSize(sizes, times_s, np.ones(1), np.zeros((1, *log_weight.shape)), log_weight[np.newaxis])
 
 
+def _errors_of_point(
+    model: PointModel, flown: Conditions, member: Member, with_table: bool
+) -> Iterator[tuple[str, PointModel, Conditions]]:
+    """Label, model and conditions of each error of a point at one sigma: wall, effects, ratio table, estimate."""
+    if member.estimate is None:
+        central, names = model, list[str]()
+    else:
+        central, names = estimated_model(model, member.estimate), list(_open_parameters(model, member)[0])
+    hottest = int(np.argmax(flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]))
+    for name, changed in varied_models(central, flown, hottest):
+        if name != SCALE and not any(central.same_parameter(name, n) for n in names):
+            yield name, changed, flown
+    if with_table and not any(n.startswith("ratio.") for n in names):
+        table = _table_error(central, flown)
+        if table is not None:
+            yield "ratio table", central, table
+    if member.estimate is not None:
+        yield from (("estimate", changed, flown) for changed in _estimate_errors(model, member))
+
+
+def _knots(flown: Conditions, sizes: ErrorSize) -> FloatArray:
+    """Times [s] of the knots of the heating's error, KNOTS_A_TIME in its shortest correlation time while it is hot."""
+    flux = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+    heated_s = flown.time_s[flux >= HEATED * np.max(flux)]
+    shortest_s = float(np.min(sizes.times_s[np.sum(sizes.posterior_of_heating, axis=1) > LEAST_TIME]))
+    count = int(np.ceil(np.ptp(heated_s) / shortest_s * KNOTS_A_TIME)) + 1
+    return np.linspace(heated_s[0], heated_s[-1], min(max(count, 2), MOST_KNOTS))
+
+
 def spreads(
     model: PointModel,
     flown: Conditions,
@@ -215,34 +244,12 @@ def spreads(
     with_table : whether the sigma of the ratio table counts
     raises  : RunError where a step did not converge
     """
-    estimate = member.estimate
-    central = model if estimate is None else estimated_model(model, estimate)
-    names = [] if estimate is None else list(_open_parameters(model, member)[0])
-    hottest = int(np.argmax(flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]))
-    labels, variants = list[str](), list[tuple[PointModel, Conditions]]()
-
-    def add(label: str, changed: PointModel, along: Conditions) -> None:
-        labels.append(label)
-        variants.append((changed, along))
-
-    for name, changed in varied_models(central, flown, hottest):
-        if name != SCALE and not any(central.same_parameter(name, n) for n in names):
-            add(name, changed, flown)
-    of_ratio = any(n.startswith("ratio.") for n in names)
-    table = None if of_ratio or not with_table else _table_error(central, flown)
-    if table is not None:
-        add("ratio table", central, table)
-    for changed in () if estimate is None else _estimate_errors(model, member):
-        add("estimate", changed, flown)
-    for other in flights:
-        add("trajectory", central, other)
+    central = model if member.estimate is None else estimated_model(model, member.estimate)
+    errors = [*_errors_of_point(model, flown, member, with_table), *(("trajectory", central, f) for f in flights)]
+    labels, variants = [label for label, *_ in errors], [(changed, along) for _, changed, along in errors]
     first, sizes, knots = len(variants), heating_sizes(heating, member), np.zeros(0)
     if sizes is not None:
-        flux = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
-        heated_s = flown.time_s[flux >= HEATED * np.max(flux)]
-        shortest_s = float(np.min(sizes.times_s[np.sum(sizes.posterior_of_heating, axis=1) > LEAST_TIME]))
-        count = int(np.ceil(np.ptp(heated_s) / shortest_s * KNOTS_A_TIME)) + 1
-        knots = np.linspace(heated_s[0], heated_s[-1], min(max(count, 2), MOST_KNOTS))
+        knots = _knots(flown, sizes)
         variants += [(central, c) for c in scaled_heating(flown, knots)]
     marched = dispersed_temperatures(central, flown, variants, longest_step_s)
     sensors = slice(2, None)

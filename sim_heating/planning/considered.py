@@ -124,19 +124,16 @@ def _known(information: FloatArray) -> FloatArray:
 
 def _problem(estimate: Estimate, records: Sequence[Record]) -> FitProblem:
     """The fit of an estimate, with the parameters of the wall that it held as further unknowns."""
-    priors = {
-        n: (0.0 if p.prior_mean is None else p.prior_mean, np.inf if p.prior_sigma is None else p.prior_sigma)
-        for n, p in estimate.parameters.items()
-    }
-    tied = dict.fromkeys(estimate.ties.values())
-    ties = [[n, *(label for label, stands in estimate.ties.items() if stands == n)] for n in tied]
+    ties: dict[str, list[str]] = {}
+    for label, stands in estimate.ties.items():
+        ties.setdefault(stands, [stands]).append(label)
     declared = {u.effect.name for r in records for u in r.declared.heating.effects}
     uses = [fitted_use(estimate, n) for n in dict.fromkeys(e.name for e in estimate.effects) if n not in declared]
     options = FitOptions(
         effects=[u for u in uses if u is not None],
         fixed={n: f.value for n, f in estimate.fixed.items()},
-        priors=priors,
-        ties=ties,
+        priors={n: p.prior for n, p in estimate.parameters.items()},
+        ties=list(ties.values()),
     )
     names, reference = [*estimate.parameters, *estimate.ties], tuple(estimate.reference_condition.values().tolist())
     return FitProblem(records, [*names, *_held(estimate, names, records, options)], reference, options)

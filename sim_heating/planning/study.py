@@ -202,9 +202,10 @@ def _estimates(
 
 def _base(study_path: Path, declared: StudyFile, vehicle: Vehicle, root: str | os.PathLike[str] | None) -> Scenario:
     """The base entry as a scenario of the study's vehicle and control points."""
-    contents: dict[str, Any] = {"format": "scenario/1", "vehicle": declared.vehicle, "title": declared.title}
+    head: dict[str, Any] = {"format": "scenario/1", "vehicle": declared.vehicle, "title": declared.title}
+    contents = head | {"control_points": declared.control_points, "trajectory": declared.trajectory}
+    contents["effect"] = [e.model_dump() for e in declared.effect]
     source = study_path
-    contents |= {"control_points": declared.control_points, "effect": [e.model_dump() for e in declared.effect]}
     if declared.scenario is not None:
         source = roots_of(study_path, root, vehicle.directory).named(declared.scenario, "`scenario`")
         if not os.path.isfile(source):
@@ -215,16 +216,14 @@ def _base(study_path: Path, declared: StudyFile, vehicle: Vehicle, root: str | o
                 f"{display_path(source)}, [heating]: a study has no {' and '.join(flown.heating.schedules)} in time; "
                 "fly a scenario without, and declare them in the stacks"
             )
-        contents["heating"] = dict.fromkeys(flown.heating.left_out.values(), False)
-        effect = [e.model_dump() for e in flown.effect]
-        copied = {"trajectory": flown.trajectory, "effect": effect, "heating": contents["heating"]}
-        head = {k: v for k, v in contents.items() if k in ("format", "vehicle", "title")}
+        copied: dict[str, Any] = {
+            "trajectory": flown.trajectory,
+            "effect": [e.model_dump() for e in flown.effect],
+            "heating": dict.fromkeys(flown.heating.left_out.values(), False),
+        }
         # Checked by itself first, so that its own problems are reported with its path and all others with the study's.
         make_scenario(source, check(head | copied, ScenarioFile, display_path(source)), vehicle, root=root)
-        contents["trajectory"] = flown.trajectory
-        contents["effect"] = [e.model_dump() for e in (*flown.effect, *declared.effect)]
-    else:
-        contents["trajectory"] = declared.trajectory
+        contents |= copied | {"effect": [*copied["effect"], *contents["effect"]]}
     file = check({k: v for k, v in contents.items() if v is not None}, ScenarioFile, display_path(study_path))
     return make_scenario(source, file, vehicle, error_file=study_path, root=root)
 
@@ -242,12 +241,7 @@ def _limited_points(study_path: Path, declared: StudyFile, base: Scenario) -> tu
             if name not in base.names
         ]
     )
-    points = []
-    for name in base.names:
-        point, limit = base.vehicle.control_point(name), limits.get(name, Limit(control_point=name))
-        bondline = point.limits.bondline_K if limit.bondline_K is None else limit.bondline_K
-        points.append(LimitedPoint(point, limit.surface_K or point.limits.surface_K, bondline))
-    return tuple(points)
+    return tuple(limits.get(n, Limit(control_point=n)).limited(base.vehicle.control_point(n)) for n in base.names)
 
 
 def _hash(study_path: Path, declared: StudyFile, base: Scenario, estimates: Sequence[Path]) -> str:

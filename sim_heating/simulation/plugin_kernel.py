@@ -212,6 +212,13 @@ def watch_frame(host: FloatArray, published: FloatArray, frame: FloatArray) -> i
     for i in range(len(frame)):
         host[AREA + i] += 0.5 * elapsed * (host[LAST_FRAME + i] + frame[i])
         host[LAST_FRAME + i] = frame[i]
+    _extrapolate(published, since)
+    return GOOD
+
+
+@njit
+def _extrapolate(published: FloatArray, since: float) -> None:
+    """Extrapolate published temperatures to a time after the last thermal step [s]; lagging ones follow their own."""
     for i in range(published.shape[1]):
         published[CURRENT, i] = published[VALUE, i] + since * (published[LINEAR, i] + since * published[QUADRATIC, i])
     # A loop of its own: without a branch the one above vectorises.
@@ -220,7 +227,6 @@ def watch_frame(host: FloatArray, published: FloatArray, frame: FloatArray) -> i
             published[CURRENT, i] = lag_step(
                 published[LAGGED, i], published[VALUE, i], published[CURRENT, i], since / published[TAU, i]
             )
-    return GOOD
 
 
 # Thermal steps -----------------------------------------------------------------------------------------------------

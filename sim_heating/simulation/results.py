@@ -125,17 +125,15 @@ def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float
         Column("peak bondline", "peak_bondline_K", ".0f", "K"),
         Column("margin", "bondline_margin_K", "+.0f", "K"),
     ]
-    rows = [[name, *(point[c.key] for c in columns[1:])] for name, point in summary["control_points"].items()]
-    if any("band" in point for point in summary["control_points"].values()):
+    points = {name: {**point, **point.get("band", {})} for name, point in summary["control_points"].items()}
+    if any("band" in point for point in points.values()):
         ends = ("surface", "bondline")
         columns += [Column(f"{name} margin at the band", f"{name}_margin_at_band_K", "+.0f", "K") for name in ends]
-        bands = [point.get("band", {}) for point in summary["control_points"].values()]
-        rows = [
-            [*row, *(b.get(f"{name}_margin_at_band_K") for name in ends)] for row, b in zip(rows, bands, strict=True)
-        ]
     if rmse_K:
         columns.append(Column("RMSE against measured", "rmse_K", ".1f", "K"))
-        rows = [[*row, rmse_K.get(row[0], "")] for row in rows]
+        for name, point in points.items():
+            point["rmse_K"] = rmse_K.get(name, "")
+    rows = [[name, *(point.get(c.key) for c in columns[1:])] for name, point in points.items()]
     return Table(title, columns, rows)
 
 

@@ -146,21 +146,15 @@ def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insula
     while insulated < len(layer) - 1 and layer[insulated] != insulation:
         insulated += 1
     first, moist = HEAD_ROWS * LANES + lane, (HEAD_ROWS + insulated * NODE_ROWS) * LANES + lane
-    is_there = (
-        B[first + RADIATES_FROM * LANES] == p[RADIATION_FROM]
-        and B[first + LATENT * LANES] == p[LATENT_HEAT]
-        and B[first + BOIL * LANES] == p[BOILS]
-        and B[first + DEPOSIT * LANES] == p[DEPOSITED]
-        and B[first + CONDENSE * LANES] == p[CONDENSES]
-        and B[first + PHASE_RATE * LANES] == 1.0 / p[WIDTH]
-        and B[moist + VAPOUR * LANES] == p[CARRIED]
-    )
+    rows = (RADIATES_FROM, LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_RATE)
+    values = (p[RADIATION_FROM], p[LATENT_HEAT], p[BOILS], p[DEPOSITED], p[CONDENSES], 1.0 / p[WIDTH])
+    is_there = B[moist + VAPOUR * LANES] == p[CARRIED]
+    for k in range(len(rows)):
+        is_there = is_there and B[first + rows[k] * LANES] == values[k]
     for i in range(0 if is_there else len(layer) + 1):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
-        B[a + RADIATES_FROM * LANES] = p[RADIATION_FROM]
-        B[a + LATENT * LANES], B[a + BOIL * LANES] = p[LATENT_HEAT], p[BOILS]
-        B[a + DEPOSIT * LANES], B[a + CONDENSE * LANES] = p[DEPOSITED], p[CONDENSES]
-        B[a + PHASE_RATE * LANES] = 1.0 / p[WIDTH]
+        for k in range(len(rows)):
+            B[a + rows[k] * LANES] = values[k]
         B[a + VAPOUR * LANES] = p[CARRIED] if i < len(layer) and layer[i] == insulation else 0.0
     # One flag for the group, only ever set here: a dry lane next to a moist one computes zeros. A perturbed lane may be
     # below 0 and in a group of its own.

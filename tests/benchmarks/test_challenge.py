@@ -244,3 +244,15 @@ def test_what_the_model_does_not_know_makes_a_deviation_less_visible():
     blurred = replace(bench, unknown=made.world.unknown(bench))
     change = bench.change(made.drawn, true=False)
     assert float(np.sum(blurred.change(made.drawn, true=False) ** 2)) < float(np.sum(change**2))
+
+
+@pytest.mark.thorough
+def test_deviation_is_less_visible_where_nobody_knows_when_arcs_end():
+    made = imperfect("one", 5)
+    assert made.world.heating == "steps"
+    bench = Bench(made.case, made.recorder.time_s, made.fit)
+    change_by_phases = [
+        replace(bench, unknown=made.world.unknown(bench, phases=k)).change(made.drawn, true=False) for k in (1, 5)
+    ]
+    known, unknown = (float(np.sum(change**2)) for change in change_by_phases)
+    assert unknown < known

@@ -214,10 +214,9 @@ def test_a_report_that_names_a_cause_and_does_not_explain_it_contradicts_itself(
 @pytest.mark.thorough
 @pytest.mark.parametrize(("of_class", "number"), [("error", 0), ("lacking", 2)])
 def test_nothing_is_named_where_the_model_is_imperfect_and_no_cause_is_in_it(of_class, number):
-    """Records that state the size of their heating's error: a spline alone, and a cause that the library
-    lacks."""
+    """Records with a large error of the heating: a spline alone, and one beside a cause that the library lacks."""
     judged = json.loads(make_and_close((of_class, number, True, 97)))
     assert judged["record"] == f"imperfect-{of_class}-{number:03d}"
-    assert verdict(judged) == "right"
+    assert judged["finding"] in ("none", "unknown")
     assert judged["contradictions"] == []
     assert judged["stated_error"]["relative_heating"]["limit_95"] > 0.5 * judged["model_error"]["rms_while_hot"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from functools import cache
 from pathlib import Path
@@ -19,7 +20,7 @@ from sim_heating.estimation.report.report import estimate_contents
 from sim_heating.inputs.record import load_record
 from sim_heating.planning.bands import Member, Spread, mixture_quantile, predict_with_band
 from sim_heating.planning.considered import considered
-from tests.support.paths import SCENARIOS
+from tests.support.paths import ROOT, SCENARIOS
 
 P06 = SCENARIOS / "records" / "practice" / "p06"
 EMITTANCE = "stack.emissivity_factor"
@@ -181,6 +182,30 @@ def test_margins_of_a_study_are_of_its_estimates_by_weight(tmp_path: Path):
     assert at_band["hot"] < at_band["hot_cold"] < at_band["cold"]
     others = [flight["margins_at_band_K"]["WING_LE surface"] for flight in flights.values()]
     assert max(others) == pytest.approx(min(others))
+
+
+@pytest.mark.thorough
+def test_page_and_study_json_state_the_estimates_of_margins(tmp_path: Path):
+    shipped = read_estimate(ROOT / "docs" / "reference" / "formats" / "examples" / "estimate.json")
+    moved = {"control_point": "V07T9975", "records": [str(P06)], "inputs": {}}
+    write_estimate(tmp_path / "first.json", shipped.model_copy(update=moved))
+    write_estimate(tmp_path / "second.json", shipped.model_copy(update=moved | {"control_point": None}))
+    members = "".join(
+        f'[[envelope.member]]\nestimate = "{name}.json"\nweight = {weight}\n'
+        for name, weight in (("first", 3.0), ("second", 1.0))
+    )
+    study = (SCENARIOS / "studies" / "small_envelope.toml").read_text().partition("[[envelope.boundary]]")[0]
+    study = study.replace("[-12.0, -8.0, -4.0, 0.0]", "[-8.0]").replace('"V07T9975", "WING_LE"', '"V07T9975"')
+    (tmp_path / "study.toml").write_text(study.replace("refinements = 1\n", f"bands = true\n{members}"))
+    out = tmp_path / "out"
+    assert cli.main(["plan", str(tmp_path / "study.toml"), "--workers", "1", "--out", str(out)]) == 0
+    assert json.loads((out / "study.json").read_text())["envelope"]["members"] == [
+        {"estimate": "first.json", "control_point": "V07T9975", "weight": 3.0, "share": 0.75},
+        {"estimate": "second.json", "control_point": None, "weight": 1.0, "share": 0.25},
+    ]
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", (out / "report.html").read_text())
+    at = cells.index("first.json")
+    assert cells[at : at + 8] == ["first.json", "V07T9975", "3", "75 %", "second.json", "several", "1", "25 %"]
 
 
 @pytest.mark.parametrize(

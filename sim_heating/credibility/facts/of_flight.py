@@ -14,7 +14,7 @@ from sim_heating.credibility.facts.contributors import declares_sigma, peak_unce
 from sim_heating.credibility.facts.sources import conditions_of_scenario, inputs_of_point
 from sim_heating.credibility.facts.topics import topics_of_points, topics_of_trajectory
 from sim_heating.credibility.reviews import digest_of
-from sim_heating.credibility.statement import NOT_LOOKED_AT, SIGMAS, Answer, Facts
+from sim_heating.credibility.statement import NOT_LOOKED_AT, SIGMAS, Answer, Facts, greatest_error_K
 from sim_heating.credibility.validation.own_cases import samples_of
 from sim_heating.credibility.validation.region import FLIGHT, Samples
 from sim_heating.inputs.points import point_of_vehicle
@@ -41,7 +41,6 @@ def facts_of_flight(
     vehicle = scenario.vehicle
     points = [vehicle.control_point(m.name) for m in models]
     model_inputs = [i for p, m in zip(points, models, strict=True) for i in inputs_of_point(vehicle, p, m.effects)]
-    errors = [h.mesh_error_K for h in histories]
     critical = _critical(histories, limits)
     hottest_s = peak(histories[critical].time_s, histories[critical].surface_K)[1]
     uncertainty = peak_uncertainty(
@@ -55,7 +54,7 @@ def facts_of_flight(
         conditions=tuple(conditions_of_scenario(scenario)),
         files={display_path(scenario.path): file_digest(scenario.path), f"vehicle {vehicle.name}": digest},
         samples=tuple(samples_of(f, h.surface_K) for f, h in zip(flights, histories, strict=True)),
-        mesh_error_K=None if None in errors else max(e for e in errors if e is not None),
+        mesh_error_K=greatest_error_K(h.mesh_error_K for h in histories),
         sigma=all(declares_sigma(m, f) for m, f in zip(models, flights, strict=True)),
         uncertainty=uncertainty,
         holds=_holds(histories, limits, critical, None if uncertainty is None else uncertainty.sigma),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from sim_heating.credibility.facts.contributors import Uncertainty, combined, de
 from sim_heating.credibility.facts.sources import conditions_of_record, inputs_of_record
 from sim_heating.credibility.facts.topics import topics_of_record
 from sim_heating.credibility.reviews import digest_of
-from sim_heating.credibility.statement import LARGEST_SHARE, NOT_LOOKED_AT, SIGMAS, Answer, Facts
+from sim_heating.credibility.statement import LARGEST_SHARE, NOT_LOOKED_AT, SIGMAS, Answer, Facts, greatest_error_K
 from sim_heating.credibility.validation.own_cases import samples_of, wall_readings
 from sim_heating.heating.ratio.uncertainty import declared_ratio
 from sim_heating.inputs.points import point_of_record
@@ -135,17 +136,20 @@ def of_several(facts: Sequence[Facts]) -> Facts:
     """Facts about several records as one result; reviews are looked for next to the first."""
     if len(facts) == 1:
         return facts[0]
-    errors = [f.mesh_error_K for f in facts]
     answers = ("consistent", "holds", "varied", "own_share", "own_noise")
     agreed: dict[str, Any] = {name: _all(getattr(f, name) for f in facts) for name in answers}
+
+    def joined(name: str) -> Iterator[Any]:
+        return chain.from_iterable(getattr(f, name) for f in facts)
+
     return replace(
         facts[0],
-        topics=frozenset().union(*(f.topics for f in facts)),
-        model=tuple(dict.fromkeys(i for f in facts for i in f.model)),
-        conditions=tuple(dict.fromkeys(i for f in facts for i in f.conditions)),
+        topics=frozenset(joined("topics")),
+        model=tuple(dict.fromkeys(joined("model"))),
+        conditions=tuple(dict.fromkeys(joined("conditions"))),
         files={n: d for f in facts for n, d in f.files.items()},
-        samples=tuple(s for f in facts for s in f.samples),
-        mesh_error_K=None if None in errors else max(e for e in errors if e is not None),
+        samples=tuple(joined("samples")),
+        mesh_error_K=greatest_error_K(f.mesh_error_K for f in facts),
         sigma=all(f.sigma for f in facts),
         **agreed,
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -164,12 +165,53 @@ def _band(samples: Samples, residual_K: FloatArray, inside: BoolArray) -> Band:
     return Band(limits, rmse, len(residual))
 
 
+@dataclass(frozen=True, eq=False)
+class _Coverage:
+    """The conditions of a control point against data sets.
+
+    bands  : of the data sets of its kind, each with its data set
+    beyond : of each band, `Band.beyond`
+    """
+
+    samples: Samples
+    bands: Sequence[tuple[ValidationCase, Band]]
+    beyond: Sequence[Mapping[str, FloatArray]]
+
+    @cached_property
+    def cost(self) -> FloatArray:
+        """(band, time) distance from each band over the scales of VARIABLES, 0 within [-]."""
+        return np.array([sum(np.abs(d) / VARIABLES[n] for n, d in distances.items()) for distances in self.beyond])
+
+    def at_nearest(self, values: FloatArray) -> FloatArray:
+        """(time,) of values (band, time), those of the nearest band."""
+        return values[np.argmin(self.cost, axis=0), np.arange(values.shape[1])]
+
+    def seconds(self, where: BoolArray) -> float:
+        """Time [s] of the samples (time,) that are marked."""
+        return float(np.sum(self.samples.duration_s[where]))
+
+    def seconds_by_case(self) -> dict[str, float]:
+        """Time [s] within any band of each data set, by its name."""
+        covered: dict[str, BoolArray] = {}
+        for case, _, where in self.covering:
+            covered[case.name] = where | covered.get(case.name, False)
+        return {name: self.seconds(where) for name, where in covered.items()}
+
+    @property
+    def covering(self) -> list[tuple[ValidationCase, Band, BoolArray]]:
+        """Data set, band, and (time,) whether a sample is within it, of each band that some sample is within."""
+        inside = self.cost == 0.0
+        return [(case, band, where) for (case, band), where in zip(self.bands, inside, strict=True) if np.any(where)]
+
+
 def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) -> Extrapolation:
     """Where the points of a result lie against the conditions of data sets.
 
     points : conditions of each control point;  cases : data sets; those of another kind than a point are not compared
     """
     total = sum(float(np.sum(p.duration_s)) for p in points)
+    if total <= 0.0:
+        return Extrapolation(0.0, {}, {}, None)
     inside, seconds_by_case = 0.0, dict.fromkeys((c.name for c in cases), 0.0)
     outside: dict[str, list[float]] = {}
     errors: list[float] = []
@@ -178,21 +220,14 @@ def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) ->
         bands = [(case, band) for case in cases if case.kind == samples.kind for band in case.bands]
         if not bands or not len(samples.duration_s):
             continue
-        beyond = [band.beyond(samples, computed) for _, band in bands]
-        cost = np.array([sum(np.abs(d) / VARIABLES[n] for n, d in distances.items()) for distances in beyond])
-        nearest = np.argmin(cost, axis=0)
-        is_inside = cost[nearest, np.arange(cost.shape[1])] == 0.0
-        inside += float(np.sum(samples.duration_s[is_inside]))
-        covering = [(case, band, cost[k] == 0.0) for k, (case, band) in enumerate(bands) if np.any(cost[k] == 0.0)]
-        errors += [band.rmse_K / case.rise_K if case.rise_K > 0.0 else 1.0 for case, band, _ in covering]
-        for case in {id(c): c for c, _, _ in covering}.values():
-            covered = np.any(np.array([where for c, _, where in covering if c is case]), axis=0)
-            seconds_by_case[case.name] += float(np.sum(samples.duration_s[covered]))
+        coverage = _Coverage(samples, bands, [band.beyond(samples, computed) for _, band in bands])
+        inside += coverage.seconds(coverage.at_nearest(coverage.cost) == 0.0)
+        errors += [band.rmse_K / case.rise_K if case.rise_K > 0.0 else 1.0 for case, band, _ in coverage.covering]
+        for name, seconds in coverage.seconds_by_case().items():
+            seconds_by_case[name] += seconds
         for name in samples.values:
-            d = np.array([distances[name] for distances in beyond])[nearest, np.arange(cost.shape[1])]
+            d = coverage.at_nearest(np.array([distances[name] for distances in coverage.beyond]))
             _note_distance(outside, name, d, samples.duration_s)
-    if total <= 0.0:
-        return Extrapolation(0.0, {}, {}, None)
     return Extrapolation(
         min(inside / total, 1.0) if inside < total * (1.0 - 1e-12) else 1.0,
         {n: (max(low, 0.0), max(high, 0.0), t / total) for n, (low, high, t) in outside.items()},

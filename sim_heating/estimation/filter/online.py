@@ -706,6 +706,16 @@ def run_online(
 
 
 @njit
+def _moved_by(state: State, lane: int, i: int, step: FloatArray) -> float:
+    """Change of node temperature i of a lane [K], or of its disturbance [-] behind the last node, by a step of the
+    parameters."""
+    change = 0.0
+    for k in range(len(step)):
+        change += state.S[lane, i, k] * step[k]
+    return change
+
+
+@njit
 def shift_linearisation(
     B: FloatArray,
     state: State,
@@ -743,23 +753,15 @@ def shift_linearisation(
         return False
     largest = 0.0
     for i in range(nodes):
-        change = 0.0
-        for k in range(m):
-            change += state.S[lane, i, k] * step[k]
-        largest = max(largest, abs(change))
+        largest = max(largest, abs(_moved_by(state, lane, i, step)))
     if not math.isfinite(largest):
         return False
     fraction = min(1.0, LARGEST_SHIFT_K / max(largest, 1e-300))
     for k in range(m):
         step[k] *= fraction
-    for i in range(nodes + 1):
-        change = 0.0
-        for k in range(m):
-            change += state.S[lane, i, k] * step[k]
-        if i < nodes:
-            B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane] += change
-        else:
-            state.d[lane] += change
+    for i in range(nodes):
+        B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane] += _moved_by(state, lane, i, step)
+    state.d[lane] += _moved_by(state, lane, nodes, step)
     for k in range(m):
         information.at[lane, k] += step[k]
         for j in range(m):

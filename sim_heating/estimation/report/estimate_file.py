@@ -11,6 +11,7 @@ would go into tables as if a flight had given them.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -67,6 +68,11 @@ class EstimatedParameter(Extensible):
     prior_sigma: float | None = Field(default=None, ge=0.0)
     lower: float | None = None
     upper: float | None = None
+
+    @property
+    def prior(self) -> tuple[float, float]:
+        """Mean and standard deviation of the prior, in `unit`; infinite standard deviation for a flat one."""
+        return self.prior_mean or 0.0, math.inf if self.prior_sigma is None else self.prior_sigma
 
     @property
     def known_before(self) -> str:

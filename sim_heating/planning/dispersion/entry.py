@@ -161,20 +161,19 @@ class DispersedEntry:
         models = [
             model_without_sensors(self.study.vehicle, p, e) for p, e in zip(self.points, self.effects, strict=True)
         ]
-        chosen: list[Mesh | None] = [None] * len(models)
+        chosen: dict[int, Mesh] = {}
         # Judged by the peaks of the planned flight and not by the pulse of `march.mesh_choice`: only peaks have to be
         # accurate here.
         for nodes in NODE_COUNTS:
             coarse = [mesh_of_nodes(m, nodes, self.spec.thermal_step_s) for m in models]
             fine = [halve_elements(mesh) for mesh in coarse]
             change = np.abs(self._planned_peaks(coarse) - self._planned_peaks(fine)).max(axis=0)
-            chosen = [
-                mesh if old is None and difference < 0.75 * MESH_TOLERANCE_K else old
-                for old, mesh, difference in zip(chosen, coarse, change, strict=True)
-            ]
-            if None not in chosen:
+            for p, mesh in enumerate(coarse):
+                if change[p] < 0.75 * MESH_TOLERANCE_K:
+                    chosen.setdefault(p, mesh)
+            if len(chosen) == len(models):
                 break
-        return [m if m is not None else last for m, last in zip(chosen, coarse, strict=True)]
+        return [chosen.get(p, mesh) for p, mesh in enumerate(coarse)]
 
     def _planned_peaks(self, meshes: Sequence[Mesh]) -> FloatArray:
         peaks = self._lanes(meshes).march(self.planned, 0, [], [None] * len(self.points))

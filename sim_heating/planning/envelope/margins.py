@@ -61,7 +61,6 @@ class Margin:
     kind         : surface, bondline, elevon or table;  point : the control point, empty for the vehicle as a whole
     value        : peak or extreme, in `unit`;  limit, margin, sigma : in the same unit
     sigma_after  : sigma that would remain after each candidate manoeuvre of the next flight
-    at_s, at_m_s : time [s] and velocity [m/s] of the peak
     """
 
     kind: str
@@ -72,8 +71,6 @@ class Margin:
     unit: str
     sigma: float = 0.0
     sigma_after: Mapping[str, float] = field(default_factory=dict)
-    at_s: float = 0.0
-    at_m_s: float = 0.0
 
     @property
     def at_band(self) -> float:
@@ -170,7 +167,7 @@ class MarginEvaluator:
             ):
                 if limit_K is None or not np.isfinite(limit_K):
                     continue
-                margin = self._temperature_margin(name, kind, found, limit_K, flown)
+                margin = self._temperature_margin(name, kind, found, limit_K)
                 margins[f"{name} {kind}"] = _with_all(margin, others, channel) if others else margin
             margins |= _table_margins(limited, conditions)
             outside += [
@@ -190,16 +187,13 @@ class MarginEvaluator:
             return None
         return float(flown.conditions["velocity_m_s"][np.flatnonzero(x >= station)[-1]])
 
-    def _temperature_margin(
-        self, name: str, kind: str, peak: PeakSensitivity, limit_K: float, flown: FlownCase
-    ) -> Margin:
+    def _temperature_margin(self, name: str, kind: str, peak: PeakSensitivity, limit_K: float) -> Margin:
         sigma_after = {
             manoeuvre: float(np.linalg.norm(peak.slope @ root)) if len(peak.slope) else 0.0
             for manoeuvre, root in self.informed.get(name, {}).items()
         }
-        speed = np.interp(peak.time_s, flown.conditions.time_s, flown.conditions["velocity_m_s"])
         T = peak.temperature_K
-        return Margin(kind, name, T, limit_K, limit_K - T, "K", peak.sigma_K, sigma_after, peak.time_s, float(speed))
+        return Margin(kind, name, T, limit_K, limit_K - T, "K", peak.sigma_K, sigma_after)
 
     def _trim_margins(self, flown: FlownCase) -> dict[str, Margin]:
         trim, required = flown.trim, flown.trim.required_deg

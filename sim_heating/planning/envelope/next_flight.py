@@ -147,15 +147,14 @@ def limiting_margins(s: BoundarySegment) -> list[Margin]:
 
     Each limit appears once, with the margin of the flight nearest to its edge.
     """
-    edges: list[tuple[float, str]] = []
+    edges: dict[str, float] = {}
     for which in (NOMINAL, CONSERVATIVE):
         g, a = s.greatest.get(which), s.allowed[which]
-        edges_found = (a.low, a.high, a.least_violated) if g is None else (g,)
-        edges += [
-            (e.at, e.limit) for e in edges_found if e is not None and e.limit not in [limit for _, limit in edges]
-        ]
+        for edge in (a.low, a.high, a.least_violated) if g is None else (g,):
+            if edge is not None:
+                edges.setdefault(edge.limit, edge.at)
     margins = []
-    for at, limit in edges:
+    for limit, at in edges.items():
         having_limit = [i for i, f in enumerate(s.flights) if limit in f.margins]
         if having_limit:
             nearest = min(having_limit, key=lambda i: abs(s.positions[i] - at))

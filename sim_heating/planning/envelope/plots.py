@@ -80,13 +80,12 @@ def draw_map(path: Path, title: str, flown: FlownMap, band: DrawnBand) -> None:
 def _draw_line_map(path: Path, title: str, flown: FlownMap, band: DrawnBand) -> None:
     figure, axes = new_figure(9.0, 6.0, 1)
     (name, values), a = next(iter(flown.declared.axes.items())), axes[0]
-    good = [f for f in flown.flights if f.error is None]
-    hot = {n for f in good for n, m in f.margins.items() if m.unit == "K"}
-    least = sorted(hot, key=lambda n: min(f.margins[n].margin for f in good))[:MOST_LIMITS]
-    x = np.array([v for v, f in zip(values, flown.flights, strict=True) if f.error is None])
+    good = [(v, f) for v, f in zip(values, flown.flights, strict=True) if f.error is None]
+    hot = {n for _, f in good for n, m in f.margins.items() if m.unit == "K"}
+    least = sorted(hot, key=lambda n: min(f.margins[n].margin for _, f in good))[:MOST_LIMITS]
     for colour, limit in zip(COLOURS, least, strict=False):
-        y = np.array([f.margins[limit].margin for f in good])
-        s = band.sigmas * np.array([f.margins[limit].sigma for f in good])
+        x, y, sigma = np.array([(v, f.margins[limit].margin, f.margins[limit].sigma) for v, f in good]).T
+        s = band.sigmas * sigma
         a.plot(x, y, "o-", color=colour, markersize=3.5, label=limit)
         a.fill_between(x, y - s, y + s, color=colour, alpha=0.10, linewidth=0)
     _mark_excluded(a, list(zip(values, flown.flights, strict=True)))
@@ -148,7 +147,7 @@ def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBounda
             heads += [] if first.family is None else [f"{LABELS[first.family]} {member:g}"]
             a.set_title("\n".join(heads), fontsize=8.5)
             a.set_xlabel(LABELS[first.along])
-            a.set_ylabel(LABELS[first.greatest or first.across])
+            a.set_ylabel(LABELS[first.sought])
             _name_speeds(a, segments)
     if first.along == "alpha_station":
         grid[0, 0].invert_xaxis()

@@ -92,18 +92,21 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
     envelope, output = _envelope_of(study), _PartOutput(study, folder)
     sigmas, revision, band = envelope.sigmas, files.revision_label(study), _drawn_band(envelope)
     flights = StudyFlights(study, engine, progress, _forecast_evidence(_forecasts(study)))
-    data: dict[str, Any] = {"sigmas": sigmas, "revision": revision, "maps": {}, "boundaries": {}}
+    data: dict[str, Any] = {"sigmas": sigmas, "revision": revision, "members": files.member_data(study)}
+    data |= {"maps": {}, "boundaries": {}}
+    if data["members"]:
+        output.tables.append(files.member_table(study))
     maps = [fly_map(declared, flights) for declared in envelope.map]
     boundaries = [fly_boundary(declared, envelope, flights) for declared in envelope.boundary]
     flights.require_one()
     for flown in maps:
-        name, title = _map_file(flown.declared), flown.declared.title or flown.declared.name
+        name, title = _map_file(flown.declared), flown.declared.heading
         files.write_map(output.path(f"{name}.csv"), study, flown)
         output.draw(name, title, partial(plots.draw_map, flown=flown, band=band))
         output.tables.append(files.map_table(flown, study))
         data["maps"][flown.declared.name] = files.map_data(flown, study)
     for boundary in boundaries:
-        name, title = _boundary_file(boundary.declared), boundary.declared.title or boundary.declared.name
+        name, title = _boundary_file(boundary.declared), boundary.declared.heading
         files.write_boundary(output.path(f"{name}.csv"), study, boundary, sigmas)
         output.draw(name, title, partial(plots.draw_boundaries, boundaries={"": boundary}, band=band))
         output.tables.append(files.boundary_table(boundary))
@@ -172,7 +175,7 @@ def _compare_with_before(
         name = later.declared.name
         files.write_boundary(output.path(f"before_{name}.csv"), other, earlier, envelope.sigmas)
         both = {f"before: {files.picture_stamp(other)}": earlier, f"after: {files.picture_stamp(study)}": later}
-        title = f"{later.declared.title or name}, before and after"
+        title = f"{later.declared.heading}, before and after"
         draw = partial(plots.draw_boundaries, boundaries=both, band=_drawn_band(envelope))
         output.draw(f"before_after_{name}", title, draw)
     table, data = compare_areas(before, current)

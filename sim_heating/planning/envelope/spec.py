@@ -66,7 +66,19 @@ def _require_rising(name: str, values: Values, fewest: int) -> None:
         raise ValueError(f"{name}: {values} must rise from value to value, with {fewest} or more of them")
 
 
-class EnvelopeMap(Declared):
+class _Result(Declared):
+    """A map or a boundary with its name."""
+
+    name: str = Field(pattern=r"^[\w-]+$", description="a name of letters, digits, - and _")
+    title: str = ""
+
+    @property
+    def heading(self) -> str:
+        """The title, or the name where there is none."""
+        return self.title or self.name
+
+
+class EnvelopeMap(_Result):
     """Peaks and margins of every control point over one axis or two, with other variables `fixed`.
 
     axes : one or two axes with their values
@@ -76,8 +88,6 @@ class EnvelopeMap(Declared):
 
     quantities: ClassVar = {"axes": None, "fixed": None}
 
-    name: str = Field(pattern=r"^[\w-]+$", description="a name of letters, digits, - and _")
-    title: str = ""
     axes: dict[str, Values] = Field(min_length=1, max_length=2)
     fixed: dict[str, float] = Field(default={})
     one_sided: bool = False
@@ -96,7 +106,7 @@ class EnvelopeMap(Declared):
         return Case(**{**self.fixed, **position}, one_sided=self.one_sided)
 
 
-class EnvelopeBoundary(Declared):
+class EnvelopeBoundary(_Result):
     """The allowed interval of the axis `across` at each value `at` of the axis `along`, for each value `of` a `family`.
 
     inside   : place on `across` about which the interval is sought; by default the value of the base entry
@@ -110,8 +120,6 @@ class EnvelopeBoundary(Declared):
 
     quantities: ClassVar = {"fixed": None}
 
-    name: str = Field(pattern=r"^[\w-]+$", description="a name of letters, digits, - and _")
-    title: str = ""
     along: str
     at: Values = Field(min_length=1)
     across: str
@@ -134,6 +142,11 @@ class EnvelopeBoundary(Declared):
         _require_rising("at", sorted(self.at), 1)
         return self
 
+    @property
+    def sought(self) -> str:
+        """Name of the quantity whose ends the boundary has: `greatest`, or the axis `across`."""
+        return self.greatest or self.across
+
     def members(self) -> list[float | None]:
         """Values of the family; [None] without one."""
         return list(self.of) or [None]
@@ -145,7 +158,8 @@ class EnvelopeBoundary(Declared):
 
 
 class EnvelopeMember(Declared):
-    """An [[envelope.member]]: an estimate that the evidence cannot tell from the others, with its weight.
+    """An [[envelope.member]]: an estimate that the evidence cannot tell from the others, with its weight. The page
+    of the study has a table of all members, and study.json the list `envelope.members`.
 
     estimate : an estimate.json, or a directory with one, relative to the study
     weight   : of the members together, that this one is true

@@ -61,6 +61,46 @@ def csv_header(study: Study, title: str) -> dict[str, str]:
     }
 
 
+# Members -------------------------------------------------------------------------------------------------------------
+
+
+def member_data(study: Study) -> list[dict[str, Any]]:
+    """Estimates that the margins are by, for study.json: file, control point, weight and share; none without members.
+
+    share : weight over the sum of all weights [-], the probability that the estimate is true
+    """
+    envelope = study.declared.envelope
+    stated = [] if envelope is None else envelope.member
+    total = sum(s.weight for s in stated)
+    return [
+        {
+            "estimate": s.estimate,
+            "control_point": None if member.estimate is None else member.estimate.control_point,
+            "weight": s.weight,
+            "share": s.weight / total,
+        }
+        for s, member in zip(stated, study.members if stated else (), strict=True)
+    ]
+
+
+def member_table(study: Study) -> Table:
+    """The estimates of `member_data` for the page."""
+    columns = [
+        Column("estimate"),
+        Column("control point", is_text=True),
+        Column("weight", format="g"),
+        Column("share", format=".3g", unit="%"),
+    ]
+    rows = [
+        (m["estimate"], m["control_point"] or "several", m["weight"], 100.0 * m["share"]) for m in member_data(study)
+    ]
+    title = (
+        "Margins are by these estimates: a temperature is their mean by weight, and its band is that of their mixture. "
+        "At other control points an estimate's weight goes to what the vehicle declares"
+    )
+    return Table(title, columns, rows)
+
+
 # Maps ----------------------------------------------------------------------------------------------------------------
 
 
@@ -79,7 +119,7 @@ def write_map(path: Path, study: Study, flown: FlownMap) -> None:
             row["remarks"] = flight.error or "; ".join(o for o in flight.outside if o.startswith(name))
             rows.append(row)
     columns = {key: np.array([r[key] for r in rows]) for key in rows[0]}
-    write_csv(path, columns, ".6g", csv_header(study, flown.declared.title or flown.declared.name))
+    write_csv(path, columns, ".6g", csv_header(study, flown.declared.heading))
 
 
 def has_bands(study: Study) -> bool:
@@ -132,7 +172,7 @@ def map_table(flown: FlownMap, study: Study) -> Table:
         name, m = least
         at_band = [f"{m.at_band:.1f} {m.unit}"] if bands else []
         rows.append((*at, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f} {m.unit}", *at_band))
-    title = flown.declared.title or flown.declared.name
+    title = flown.declared.heading
     heads: list[Column | str] = [*flown.declared.axes, "least margin", Column("limit", is_text=True), "sigma"]
     heads += ["margin at the 95 % band"] if bands else []
     return Table(f"Map: {title}", heads, rows)
@@ -174,9 +214,9 @@ def write_boundary(path: Path, study: Study, boundary: FlownBoundary, sigmas: fl
     """Write a boundary as CSV: nominal, conservative (tables hotter by a number of sigma), optimistic (cooler)."""
     rows, declared = boundary_rows(boundary), boundary.declared
     columns = {key: np.array([r[key] for r in rows]) for key in rows[0]}
-    header = csv_header(study, declared.title or declared.name)
+    header = csv_header(study, declared.heading)
     header |= {
-        "across": declared.greatest or declared.across,
+        "across": declared.sought,
         "band": f"{sigmas:g} sigma of the ratio tables",
     }
     write_csv(path, columns, ".6g", header)
@@ -186,7 +226,7 @@ def boundary_data(boundary: FlownBoundary) -> dict[str, Any]:
     """A boundary for study.json."""
     rows = [{k: None if v != v else v for k, v in row.items()} for row in boundary_rows(boundary)]
     areas = {which: boundary.area(which) for which in KINDS}
-    return {"across": boundary.declared.greatest or boundary.declared.across, "area": areas, "segments": rows}
+    return {"across": boundary.declared.sought, "area": areas, "segments": rows}
 
 
 def boundary_table(boundary: FlownBoundary) -> Table:
@@ -202,7 +242,7 @@ def boundary_table(boundary: FlownBoundary) -> Table:
         member = () if d.family is None else (f"{s.member:g}",)
         nominal, conservative, optimistic = (_interval(s, which) for which in KINDS)
         rows.append((*member, f"{s.position:g}", nominal, limits, conservative, optimistic))
-    return Table(f"Boundary: {d.title or d.name}, {d.greatest or d.across}", heads, rows)
+    return Table(f"Boundary: {d.heading}, {d.sought}", heads, rows)
 
 
 def _interval(segment: BoundarySegment, which: str) -> str:

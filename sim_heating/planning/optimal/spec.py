@@ -13,9 +13,8 @@ probability = 0.95                  # of keeping all limits, by the sigma of the
 
 from __future__ import annotations
 
-import math
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -23,7 +22,7 @@ from pydantic import Field, field_validator
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, display_path, raise_problems, read_toml
-from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle, load_vehicle, vehicle_place
 from sim_heating.inputs.vehicle_files import FlightLimits
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.trajectory.aero import load_aero
@@ -46,6 +45,11 @@ class Limit(Declared):
     control_point: str
     surface_K: float | None = Field(default=None, gt=0.0, description="highest surface temperature in K")
     bondline_K: float | None = Field(default=None, gt=0.0, description="highest bondline temperature in K")
+
+    def limited(self, point: ControlPoint) -> LimitedPoint:
+        """The control point with these limits, and the vehicle's own in place of those that are not given."""
+        bondline_K = point.limits.bondline_K if self.bondline_K is None else self.bondline_K
+        return LimitedPoint(point, self.surface_K or point.limits.surface_K, bondline_K)
 
 
 class OptimalStudyFile(Declared):
@@ -101,12 +105,6 @@ class OptimalStudy:
         return self.declared.title
 
 
-def without_limits(study: OptimalStudy) -> OptimalStudy:
-    """A study with the temperatures of its points computed and not limited."""
-    points = tuple(LimitedPoint(p.point, math.inf, None) for p in study.points)
-    return replace(study, points=points, declared=study.declared.model_copy(update={"probability": None}))
-
-
 def load_optimal_study(path: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None) -> OptimalStudy:
     """Read and check a study and its vehicle.
 
@@ -126,7 +124,7 @@ def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "st
     raises : InputError with one line a problem: an unknown or repeated control point, a table without the sigma
              needed, an end above the start, angles of attack outside the aerodynamic tables or none of these
     """
-    points: list[LimitedPoint] = []
+    points: dict[str, LimitedPoint] = {}
     problems: list[str] = []
     for limit in declared.limit:
         try:
@@ -136,10 +134,9 @@ def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "st
             continue
         if declared.probability is not None and point.ratio.sigma is None:
             problems.append(f"{where}, probability: the ratio table of {point.name} has no sigma; add that column")
-        if point.name in (p.point.name for p in points):
+        if point.name in points:
             problems.append(f"{where}, [limit]: `{point.name}` is repeated; name it once")
-        bondline = point.limits.bondline_K if limit.bondline_K is None else limit.bondline_K
-        points.append(LimitedPoint(point, limit.surface_K or point.limits.surface_K, bondline))
+        points[point.name] = limit.limited(point)
     problems += [
         f"{where}, [end]: `{key}`: {getattr(declared.end, key):g} must be below that of [initial], "
         f"{getattr(declared.initial, key):g}"
@@ -151,7 +148,7 @@ def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "st
     vehicles = vehicle.declared.flight_limits or FlightLimits()
     own = {key: getattr(vehicles, key) for key in FlightLimits.model_fields}
     flight_limits = FlightLimits(**(own | declared.flight_limits.model_dump(exclude_none=True)))
-    return OptimalStudy(declared, vehicle, tuple(points), flight_limits)
+    return OptimalStudy(declared, vehicle, tuple(points.values()), flight_limits)
 
 
 def tabulated_alpha_deg(vehicle: Vehicle) -> tuple[float, float]:

@@ -125,7 +125,7 @@ def draw_temperatures(
     insulated = [p for p in hottest if np.max(p.bondline_K) < HOT_STRUCTURE * np.max(p.surface_K)]
     _plot_by_peak(axes[1], {p.name: (p.time_s, p.bondline_K) for p in insulated}, style, "bondline temperature, K")
     for k, (a, shown, key) in enumerate(((axes[0], hottest, "surface_K"), (axes[1], insulated, "bondline_K"))):
-        for p in (p for p in shown if p.band is not None):
+        for p in shown:
             _fill_band(a, p, k, style[p.name]["color"])
         if len(points) <= LIMITS_SHOWN:
             _plot_limits(a, {p.name: (limits or {}).get(p.name, {}).get(key) for p in shown}, style)
