@@ -200,9 +200,10 @@ class ScoredReadings:
         W of a word may be above R^-1: with the root of 1 + G' R^-1 G the information would not be that of any error.
         """
         assert self.root is not None  # asked for with an error only
-        weighed = self.root * self.weight[:, np.newaxis]
-        lower: FloatArray = np.asarray(np.linalg.cholesky(np.eye(self.root.shape[1]) + self.root.T @ weighed))
-        return weighed, lower
+        scale = np.sqrt(self.weight)[:, np.newaxis]  # the likelihood of a reading is log-concave: W is 0 or above
+        scaled = self.root * scale
+        lower: FloatArray = np.asarray(np.linalg.cholesky(np.eye(scaled.shape[1]) + scaled.T @ scaled))
+        return scaled * scale, lower
 
 
 def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> ScoredReadings:
@@ -429,9 +430,9 @@ def error_size(
     of_flight     : (parameter,) whether its prior is one of these standard deviations; None for no parameter
 
     The model is linear in its parameters here, and a rounded reading counts as one with the noise of its rounding. With
-    s_k, U_k the singular values and left vectors of R^-1/2 S L / s, the covariance that the heating's error gives is
-    1 + s^2 U diag(s_k^2) U'; that of the flight is integrated out with the parameters. Source:
-    docs/theory/model_error.md, equations 5 and 5a.
+    A = R^-1/2 S L / s and the eigenvalues k and eigenvectors V of A' A, the inverse of the covariance that the heating's
+    error gives, 1 + s^2 A A', is 1 - A V diag(s^2 / (1 + s^2 k)) V' A'; that of the flight is integrated out with the
+    parameters. Source: docs/theory/model_error.md, equations 5 and 5a.
     """
     error = record_fit.model_error
     assert error is not None  # the caller's records have one
@@ -457,15 +458,17 @@ def error_size(
     sizes, times_s, weights = prior.grid()
     log_weight = np.log(list(scales.values()))[:, np.newaxis, np.newaxis] + weights
     log_likelihood = np.empty(log_weight.shape)
+    SS, Sr, SJ = S.T @ S, S.T @ r, S.T @ J
     for i, tau in enumerate(times_s):
-        U, singular, _ = np.linalg.svd(S @ error.of_size(1.0, tau).correlation_root, full_matrices=False)
-        Ur, UJ = U.T @ r, U.T @ J
+        L = error.of_size(1.0, tau).correlation_root
+        eigenvalues, V = np.linalg.eigh(L.T @ SS @ L)
+        along = V.T @ L.T
+        Ar, AJ, squares = along @ Sr, along @ SJ, np.maximum(eigenvalues, 0.0)
         for k, size in enumerate(sizes):
-            variance = (size * singular) ** 2
-            explained = variance / (1.0 + variance)
-            M_read = J.T @ J - (UJ * explained[:, np.newaxis]).T @ UJ
-            g_read = J.T @ r - UJ.T @ (explained * Ur)
-            square_read = float(r @ r - Ur @ (explained * Ur)) + float(np.sum(np.log1p(variance)))
+            taken_up = size**2 / (1.0 + size**2 * squares)
+            M_read = J.T @ J - (AJ * taken_up[:, np.newaxis]).T @ AJ
+            g_read = J.T @ r - AJ.T @ (taken_up * Ar)
+            square_read = float(r @ r - Ar @ (taken_up * Ar)) + float(np.sum(np.log1p(size**2 * squares)))
             for j, factors in enumerate(wider):
                 known = information / factors**2
                 M, g = M_read + np.diag(known), g_read + known * distance
