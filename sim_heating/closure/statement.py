@@ -17,7 +17,7 @@ from sim_heating.closure.clues.record_checks import TRAJECTORY, DataFault, magni
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.curves import curve_of
 from sim_heating.closure.prior.model_error import SmoothFlightError
-from sim_heating.closure.prior.table import table_error, table_findings, table_prior
+from sim_heating.closure.prior.table import table_error, table_findings, table_findings_with_prior, table_prior
 from sim_heating.closure.result import (
     NONE,
     PARTLY,
@@ -187,17 +187,18 @@ def _rivals(result: SearchResult) -> list[Hypothesis]:
 
 
 def _not_effects(result: SearchResult) -> list[NotEffect]:
-    """The cause that was found, where it is no effect; else errors of the table that the declared model's fit shows."""
+    """The cause that was found, where it is no effect; else errors of the table that the declared model shows."""
     best = result.conclusion.best
     if result.explained:
         return [replace(cause, probability=probability_of(result)) for cause in _causes(best)]
     if result.conclusion.finding != NONE:
         return []
     labels = result.before.labels
-    prior = table_prior(result.record, labels, result.before.problem.reference)
+    prior, none = table_prior(result.record, labels, result.before.problem.reference), result.none.last
+    findings = table_findings(result.before, prior) if is_exact(none) else table_findings_with_prior(none.fit, prior)
     return [
         NotEffect("table", f.what, {n: ParameterEstimate(v, s, MODEL[n].unit) for n, (v, s) in f.parameters.items()})
-        for f in table_findings(result.before, prior)
+        for f in findings
     ]
 
 

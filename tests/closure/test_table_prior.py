@@ -15,6 +15,7 @@ from sim_heating.closure.prior.table import (
     _of_default_sigma,
     table_error,
     table_findings,
+    table_findings_with_prior,
     table_prior,
     undeclared_derivatives,
 )
@@ -96,6 +97,20 @@ def test_a_wrong_alpha_derivative_is_named_with_its_value_and_a_right_table_is_n
     assert value == pytest.approx(off, abs=4.0 * sigma)
     assert first.what.startswith("the table's alpha derivative is too low by 0.0006/deg")
     assert first.p_value < 1e-3
+
+
+def test_a_wrong_alpha_derivative_is_named_by_a_fit_with_the_table_s_prior() -> None:
+    declared = flown_with({"alpha_deg": ALPHA, "elevon_deg": [-10.0, 15.0]}, sigma=0.02)
+    wrong, right = (
+        table_findings_with_prior(
+            base_trial(fit).fit, table_prior(fit.problem.record_fits[0].record, fit.labels, fit.problem.reference)
+        )
+        for record in (record_with([], 4, declared=declared, ratio__d_alpha=error)[0] for error in (6e-4, 0.0))
+        for fit in [declared_fit(record)]
+    )
+    assert right == []
+    assert wrong[0].what.startswith("the table's alpha derivative is too low by 0.00")
+    assert wrong[0].p_value < 1e-3
 
 
 def trimmed(record: Record) -> Record:

@@ -16,6 +16,9 @@ and the bounds C of the fit, corrected for colour. theta_hat' S^-1 theta_hat is 
 S_kk^(1/2). Where none is and all together are, the combination is named that is: the eigenvector of S, scaled to ones
 on its diagonal, that contributes most. Variances of combinations follow from correlations of the table's errors, which
 are assumed; so for these a share of every variance counts as independent of the others.
+
+A fit with flat priors has no error of the model in it: it takes that for an error of the table. Where the model has
+one, the estimates are those with both (`table_findings_with_prior`).
 """
 
 from __future__ import annotations
@@ -33,6 +36,7 @@ from sim_heating.base.parameters import MODEL, Parameter
 from sim_heating.closure.prior.flown_path import FlownPath, projection, record_path
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.inference.observability import variables_of
 from sim_heating.heating.ratio.table import SMALLEST_SIGMA, RatioTable
 from sim_heating.heating.ratio.uncertainty import correlation, node_weights, prior_covariance
@@ -165,8 +169,35 @@ def table_findings(fit: FitResult, prior: TablePrior | None) -> list[TableFindin
     if prior is None or not names:
         return []
     of_fit, of_prior = [fit.labels.index(n) for n in names], [prior.names.index(n) for n in names]
-    value, C = fit.fit.values[of_fit], fit.bounds.covariance[np.ix_(of_fit, of_fit)]
-    S = prior.covariance[np.ix_(of_prior, of_prior)] + C
+    C = fit.bounds.covariance[np.ix_(of_fit, of_fit)]
+    return _findings(names, fit.fit.values[of_fit], C, prior.covariance[np.ix_(of_prior, of_prior)] + C)
+
+
+def table_findings_with_prior(fit: Fit, prior: TablePrior | None, *, least: float = 1e-3) -> list[TableFinding]:
+    """What of a fit that has the prior of the table in it leaves that prior by more than three sigmas, as above.
+
+    fit   : of a model with an error of its own, which a fit with flat priors does not have
+    least : part of a prior's variance that readings have to take away before anything follows from them
+
+    Where table and model are right, estimates with the prior are theta ~ N(0, T - C), with the covariance C that the
+    readings leave.
+    """
+    names = [n for n in (prior.names if prior else ()) if n in fit.names]
+    if prior is None or not names:
+        return []
+    of_fit, of_prior = [fit.names.index(n) for n in names], [prior.names.index(n) for n in names]
+    T, C = prior.covariance[np.ix_(of_prior, of_prior)], fit.covariance[np.ix_(of_fit, of_fit)]
+    told = np.diag(C) < (1.0 - least) * np.diag(T)
+    chosen = np.ix_(told, told)
+    names = [n for n, k in zip(names, told, strict=True) if k]
+    return _findings(names, fit.values[of_fit][told], C[chosen], (T - C)[chosen]) if names else []
+
+
+def _findings(names: Sequence[str], value: FloatArray, C: FloatArray, S: FloatArray) -> list[TableFinding]:
+    """Estimates, or a combination of them, that are more than three sigmas off 0, the farthest first.
+
+    C : (k, k) covariance of the bounds of the estimates;  S : that of the estimates about 0
+    """
     # a parameter without a bound is not off anything
     bounded = np.isfinite(np.diag(S))
     names = [n for n, k in zip(names, bounded, strict=True) if k]

@@ -430,9 +430,9 @@ def error_size(
     of_flight     : (parameter,) whether its prior is one of these standard deviations; None for no parameter
 
     The model is linear in its parameters here, and a rounded reading counts as one with the noise of its rounding. With
-    A = R^-1/2 S L / s and the eigenvalues k and eigenvectors V of A' A, the inverse of the covariance that the heating's
-    error gives, 1 + s^2 A A', is 1 - A V diag(s^2 / (1 + s^2 k)) V' A'; that of the flight is integrated out with the
-    parameters. Source: docs/theory/model_error.md, equations 5 and 5a.
+    A = R^-1/2 S L / s and the eigenvalues k and eigenvectors V of A' A, the inverse of the covariance that the
+    heating's error gives, 1 + s^2 A A', is 1 - A V diag(s^2 / (1 + s^2 k)) V' A'; that of the flight is integrated out
+    with the parameters. Source: docs/theory/model_error.md, equations 5 and 5a.
     """
     error = record_fit.model_error
     assert error is not None  # the caller's records have one
