@@ -99,7 +99,7 @@ def test_a_wrong_alpha_derivative_is_named_with_its_value_and_a_right_table_is_n
     assert first.p_value < 1e-3
 
 
-def test_a_wrong_alpha_derivative_is_named_by_a_fit_with_the_table_s_prior() -> None:
+def test_a_wrong_alpha_derivative_is_named_by_a_fit_with_its_prior() -> None:
     declared = flown_with({"alpha_deg": ALPHA, "elevon_deg": [-10.0, 15.0]}, sigma=0.02)
     wrong, right = (
         table_findings_with_prior(
