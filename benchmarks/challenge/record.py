@@ -191,9 +191,10 @@ def _attempt(
         return None
     bench, drawn, seen = found
     if world is not None and drawn:
-        whenever = _remainders(replace(bench, unknown=world.unknown(bench, phases=PHASES)), drawn)
+        blind = replace(bench, unknown=world.unknown(bench, phases=PHASES))
+        left_of_each = _remainders(blind, [blind.change([d]) for d in drawn])
         seen["log_evidence_unknown_times"] = [
-            round(log_evidence(float(left @ left), count(d)), 1) for left, d in zip(whenever, drawn, strict=True)
+            round(log_evidence(float(left @ left), count(d)), 1) for left, d in zip(left_of_each, drawn, strict=True)
         ]
     judged = _judged(rng, bench, drawn, of_class) if imperfect else {}
     deviation_of = [d.deviation for d in drawn]
@@ -264,14 +265,14 @@ def _draw_visible(
         drawn.append(one)
     if not families:
         return bench, drawn, {}
+    changes = [bench.change([d]) for d in drawn]
     seen = []
-    for i, left in enumerate(_remainders(bench, drawn)):
+    for i, left in enumerate(_remainders(bench, changes)):
         seen.append((over_floor(left), float(left @ left)))
         worth = log_evidence(seen[-1][1], count(drawn[i]))
         if len(families) > 1 and (worth < LEAST_EVIDENCE if imperfect else seen[-1][0] < LEAST):
             return None
-        beyond = bench.beyond_scale(bench.change([drawn[i]])) if families[i].is_slope else np.inf
-        if beyond < (IMPERFECT_CHI2[0] if imperfect else SEEN_CHI2):
+        if families[i].is_slope and bench.beyond_scale(changes[i]) < (IMPERFECT_CHI2[0] if imperfect else SEEN_CHI2):
             return None
     return (
         bench,
@@ -285,9 +286,8 @@ def _draw_visible(
     )
 
 
-def _remainders(bench: Bench, drawn: Sequence[Drawn]) -> list[FloatArray]:
-    """(reading,) of each deviation after a refit of scale and slopes and of the others' sizes."""
-    changes = [bench.change([d]) for d in drawn]
+def _remainders(bench: Bench, changes: Sequence[FloatArray]) -> list[FloatArray]:
+    """(reading,) of each change after a refit of scale and slopes and of the others' sizes."""
     return [bench.remainder(c, *(o for o in changes if o is not c)) for c in changes]
 
 

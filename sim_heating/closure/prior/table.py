@@ -165,43 +165,45 @@ def table_findings(fit: FitResult, prior: TablePrior | None) -> list[TableFindin
     fit   : of one record, with flat priors on the parameters of the linear model
     prior : of its table for these parameters; None where the record has no table
     """
-    names = [n for n in (prior.names if prior else ()) if n in fit.labels]
-    if prior is None or not names:
-        return []
-    of_fit, of_prior = [fit.labels.index(n) for n in names], [prior.names.index(n) for n in names]
-    C = fit.bounds.covariance[np.ix_(of_fit, of_fit)]
-    return _findings(names, fit.fit.values[of_fit], C, prior.covariance[np.ix_(of_prior, of_prior)] + C)
+    return _findings(fit.labels, fit.fit.values, fit.bounds.covariance, prior, 1.0)
 
 
-def table_findings_with_prior(fit: Fit, prior: TablePrior | None, *, least: float = 1e-3) -> list[TableFinding]:
+def table_findings_with_prior(fit: Fit, prior: TablePrior | None) -> list[TableFinding]:
     """What of a fit that has the prior of the table in it leaves that prior by more than three sigmas, as above.
 
-    fit   : of a model with an error of its own, which a fit with flat priors does not have
-    least : part of a prior's variance that readings have to take away before anything follows from them
+    fit : of a model with an error of its own, which a fit with flat priors does not have
 
     Where table and model are right, estimates with the prior are theta ~ N(0, T - C), with the covariance C that the
     readings leave.
     """
-    names = [n for n in (prior.names if prior else ()) if n in fit.names]
-    if prior is None or not names:
-        return []
-    of_fit, of_prior = [fit.names.index(n) for n in names], [prior.names.index(n) for n in names]
-    T, C = prior.covariance[np.ix_(of_prior, of_prior)], fit.covariance[np.ix_(of_fit, of_fit)]
-    told = np.diag(C) < (1.0 - least) * np.diag(T)
-    chosen = np.ix_(told, told)
-    names = [n for n, k in zip(names, told, strict=True) if k]
-    return _findings(names, fit.values[of_fit][told], C[chosen], (T - C)[chosen]) if names else []
+    return _findings(fit.names, fit.values, fit.covariance, prior, -1.0)
 
 
-def _findings(names: Sequence[str], value: FloatArray, C: FloatArray, S: FloatArray) -> list[TableFinding]:
+def _findings(
+    labels: Sequence[str],
+    values: FloatArray,
+    covariance: FloatArray,
+    prior: TablePrior | None,
+    sign: float,
+    *,
+    least: float = 1e-3,
+) -> list[TableFinding]:
     """Estimates, or a combination of them, that are more than three sigmas off 0, the farthest first.
 
-    C : (k, k) covariance of the bounds of the estimates;  S : that of the estimates about 0
+    labels, values, covariance : of all parameters of a fit
+    sign  : of C in the covariance of the estimates about 0, S = T + C or T - C
+    least : part of the prior's variance that S has at least: with less, readings say nothing of a parameter
     """
+    names = [n for n in (prior.names if prior else ()) if n in labels]
+    if prior is None or not names:
+        return []
+    of_fit, of_prior = [labels.index(n) for n in names], [prior.names.index(n) for n in names]
+    C, T = covariance[np.ix_(of_fit, of_fit)], prior.covariance[np.ix_(of_prior, of_prior)]
+    S = T + sign * C
     # a parameter without a bound is not off anything
-    bounded = np.isfinite(np.diag(S))
-    names = [n for n, k in zip(names, bounded, strict=True) if k]
-    value, C, S = value[bounded], C[np.ix_(bounded, bounded)], S[np.ix_(bounded, bounded)]
+    is_told = np.isfinite(np.diag(S)) & (np.diag(S) > least * np.diag(T))
+    names, chosen = [n for n, k in zip(names, is_told, strict=True) if k], np.ix_(is_told, is_told)
+    value, C, S = values[of_fit][is_told], C[chosen], S[chosen]
     estimates = {n: (float(v), float(s)) for n, v, s in zip(names, value, np.sqrt(np.diag(C)), strict=True)}
     z = value / np.sqrt(np.diag(S))
     findings = [

@@ -136,8 +136,10 @@ class TrialFit:
         None without an error. A comparison of causes has none below a minute, where an error that changes faster counts
         as a larger one.
         """
+        if self.size is None:
+            return None
         prior = stated_error(self.record_fit.record).heating
-        return None if self.size is None or prior is None else _size_of_error(self, prior)
+        return None if prior is None else _size_of_error(self, prior)
 
     @property
     def log_evidence(self) -> float:
