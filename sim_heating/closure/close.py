@@ -196,7 +196,7 @@ def _declared(result: SearchResult) -> FitResult:
         return result.before
     error = none.record_fit.model_error
     if compared is not None and error is not None:
-        none = with_error(none, error.of_size(error.sigma, error.correlation_s, compared.flight_scale))
+        none = with_error(none, error.of_size(error.sigma, error.correlation, compared.flight_scale))
     return _fit_whole(result.record, none)
 
 

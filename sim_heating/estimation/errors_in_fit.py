@@ -1,7 +1,7 @@
 """Errors of the models of records as part of a fit: as large as the readings say, integrated out of the likelihood.
 
 docs/theory/model_error.md, equations 1 to 5. Responses are taken about the values that the fit starts from, then about
-those that it has found. The error is one with corners or a smooth one, whichever is more probable (equation 14).
+those that it has found.
 """
 
 from __future__ import annotations
@@ -25,27 +25,23 @@ def with_stated_errors(
     values : (parameter,) that responses [K] are about, each in its unit
     stated : by record
     sized  : whether the errors have the root mean square of the sizes that the readings allow, and the likeliest
-             correlation time; else those of the priors
+             correlation; else those of the priors
     raises : RunError where the model cannot be marched
 
     Source: docs/theory/model_error.md, equations 2 and 5.
     """
     errors = [
-        None if s.heating is None else model_error(r, values, s.heating.relative, s.heating.middle_s, s.flight)
+        None if s.heating is None else model_error(r, values, s.heating.relative, s.heating.middle, s.flight)
         for r, s in zip(problem.record_fits, stated, strict=True)
     ]
     noisy = problem.with_model_errors(errors)
     prior = next((s.heating for s in stated if s.heating is not None and s.heating.relative > 0.0), None)
     if prior is None:
         return noisy, None
-    found = []
-    for smooth in (False, True):
-        errors = [e and replace(e, smooth=smooth) for e in errors]
-        found.append((_size(problem.with_model_errors(errors), values, stated, prior), errors))
-    size, errors = max(found, key=lambda pair: pair[0].evidence)
+    size = _size(noisy, values, stated, prior)
     if sized:
-        tau = size.likeliest[1]
-        noisy = problem.with_model_errors([e and (e.of_size(size.rms, tau) if e.sigma > 0.0 else e) for e in errors])
+        alike = size.likeliest[1]
+        noisy = problem.with_model_errors([e and (e.of_size(size.rms, alike) if e.sigma > 0.0 else e) for e in errors])
     return noisy, size
 
 

@@ -32,7 +32,7 @@ from sim_heating.closure.prior.model_error import MEASURED_FLIGHT, other_flight,
 from sim_heating.closure.revise.evidence import fitted_use
 from sim_heating.credibility.facts.contributors import SCALE, dispersed_temperatures, varied_models
 from sim_heating.estimation.inference.error_likelihood import STEP, scaled_heating
-from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, correlation_root
+from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior
 from sim_heating.estimation.report.estimate_file import Estimate, read_estimate
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.effects import combined_uses, use
@@ -193,8 +193,8 @@ def heating_sizes(prior: HeatingErrorPrior | None, member: Member) -> ErrorSize 
         return known
     if prior is None or prior.relative == 0.0:
         return None
-    sizes, times_s, log_weight = prior.grid()
-    return ErrorSize(sizes, times_s, np.ones(1), np.zeros((1, *log_weight.shape)), log_weight[np.newaxis])
+    sizes, correlations, log_weight = prior.grid()
+    return ErrorSize(sizes, correlations, np.ones(1), np.zeros((1, *log_weight.shape)), log_weight[np.newaxis])
 
 
 def _errors_of_point(
@@ -221,7 +221,8 @@ def _knots(flown: Conditions, sizes: ErrorSize) -> FloatArray:
     """Times [s] of the knots of the heating's error, KNOTS_A_TIME in its shortest correlation time while it is hot."""
     flux = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     heated_s = flown.time_s[flux >= HEATED * np.max(flux)]
-    shortest_s = float(np.min(sizes.times_s[np.sum(sizes.posterior_of_heating, axis=1) > LEAST_TIME]))
+    likely = zip(sizes.correlations, np.sum(sizes.posterior_of_heating, axis=1), strict=True)
+    shortest_s = min(correlation.time_s for correlation, p in likely if p > LEAST_TIME)
     count = int(np.ceil(np.ptp(heated_s) / shortest_s * KNOTS_A_TIME)) + 1
     return np.linspace(heated_s[0], heated_s[-1], min(max(count, 2), MOST_KNOTS))
 
@@ -280,7 +281,7 @@ def _with_model_error(
     Source: docs/theory/model_error.md, equations 1, 5 and 14.
     """
     response, probability = np.moveaxis(changes_K, 0, -1) / STEP, known.posterior_of_heating
-    roots = [correlation_root(knots_s, float(tau), smooth=known.smooth) for tau in known.times_s]
+    roots = [correlation.root(knots_s) for correlation in known.correlations]
     by_time = np.array([np.sum((response @ root) ** 2, axis=-1) for root in roots])
     weights = np.sum(probability, axis=0)
     kept = np.flatnonzero(weights > LEAST_WEIGHT)

@@ -59,4 +59,4 @@ def log_odds_of_jumps(trial: TrialFit, candidate: Candidate) -> float:
     above = change > np.min(change) + 0.5 * by
     jumps = int(np.count_nonzero(above[1:] != above[:-1]))
     knot_s = float(error.time_s[1] - error.time_s[0])
-    return jumps * ((by / (2.0 * size.mean)) ** 2 + math.log(max(size.likeliest[1] / knot_s, 1.0)))
+    return jumps * ((by / (2.0 * size.mean)) ** 2 + math.log(max(size.likeliest[1].time_s / knot_s, 1.0)))

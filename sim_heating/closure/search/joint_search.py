@@ -143,8 +143,8 @@ def _with_size(result: SearchResult, flight_scale: float) -> TrialFit:
     error = base.record_fit.model_error
     if size is None or error is None:
         return base
-    sigma, correlation_s, _ = size.likeliest
-    return replace(with_error(base, error.of_size(sigma, correlation_s, flight_scale)), size=size)
+    sigma, correlation, _ = size.likeliest
+    return replace(with_error(base, error.of_size(sigma, correlation, flight_scale)), size=size)
 
 
 def _best_of_each(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:

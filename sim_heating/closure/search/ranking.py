@@ -137,14 +137,14 @@ def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
 def scatter_price(deviation: float) -> float:
     """What a value costs, in units of BIC, by its distance from the declared one in standard deviations [-].
 
-        d^2 up to D,    D^2 (1 + 2 log(d / D)) beyond
+        d^2 up to D,    D^2 + 2 log(d / D) beyond
 
-    D = `Policy.max_scatter_sigmas`. A normal distribution as far as things scatter, beyond it a power law of equal
-    slope: what is wrong by more is wrong for a reason of its own, and may be wrong by any amount.
+    D = `Policy.max_scatter_sigmas`. A normal distribution as far as things scatter, beyond it one that is even in
+    log(d): what is wrong by more is wrong for a reason of its own, and may be wrong by any order of magnitude.
     """
     if deviation <= POLICY.max_scatter_sigmas:
         return deviation**2
-    return float(POLICY.max_scatter_sigmas**2 * (1.0 + 2.0 * np.log(deviation / POLICY.max_scatter_sigmas)))
+    return float(POLICY.max_scatter_sigmas**2 + 2.0 * np.log(deviation / POLICY.max_scatter_sigmas))
 
 
 def count_forms(tried: Sequence[Candidate]) -> dict[str, int]:

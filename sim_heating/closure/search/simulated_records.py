@@ -23,7 +23,7 @@ from sim_heating.closure.verdict.adequacy import Adequacy, statistics
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.error_likelihood import innovations
 from sim_heating.estimation.inference.likelihood import reading_intervals
-from sim_heating.estimation.inference.model_error import ModelError
+from sim_heating.estimation.inference.model_error import Correlation, ModelError
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
 
 
@@ -63,21 +63,21 @@ def _may_be(p: float, larger: int, made: int) -> bool:
     return bool(interval.low <= p <= interval.high)
 
 
-def slow_errors(error: ModelError, tau_s: float, count: int, rng: np.random.Generator) -> FloatArray:
-    """(knot, record) Gauss-Markov errors of the heating, of size 1 and correlation time tau.
+def slow_errors(error: ModelError, correlation: Correlation, count: int, rng: np.random.Generator) -> FloatArray:
+    """(knot, record) normally distributed errors of the heating, of size 1.
 
     Source: docs/theory/model_error.md, equation 1.
     """
-    return np.asarray(error.of_size(1.0, tau_s).correlation_root @ rng.standard_normal((len(error.time_s), count)))
+    return np.asarray(correlation.root(error.time_s) @ rng.standard_normal((len(error.time_s), count)))
 
 
-def jumping_errors(error: ModelError, tau_s: float, count: int, rng: np.random.Generator) -> FloatArray:
+def jumping_errors(error: ModelError, correlation: Correlation, count: int, rng: np.random.Generator) -> FloatArray:
     """(knot, record) errors of the heating that jump, of size 1 and correlation time tau.
 
     Source: docs/theory/model_error.md, equation 6b.
     """
     values = rng.standard_normal((len(error.time_s), count))
-    stays = np.exp(-np.diff(error.time_s, prepend=-np.inf) / tau_s)[:, np.newaxis]
+    stays = np.exp(-np.diff(error.time_s, prepend=-np.inf) / correlation.time_s)[:, np.newaxis]
     jumps = rng.random(values.shape) >= stays
     last = np.maximum.accumulate(np.where(jumps, np.arange(len(values))[:, np.newaxis], 0), axis=0)
     return np.take_along_axis(values, last, axis=0)
@@ -85,23 +85,23 @@ def jumping_errors(error: ModelError, tau_s: float, count: int, rng: np.random.G
 
 def _statistics(
     trial: TrialFit,
-    draw: Callable[[ModelError, float, int, np.random.Generator], FloatArray],
+    draw: Callable[[ModelError, Correlation, int, np.random.Generator], FloatArray],
     count: int,
     rng: np.random.Generator,
 ) -> FloatArray:
     """(record,) statistics of the adequacy of records made with a trial's model, which has an error.
 
-    draw : errors of the heating of size 1: model's error, correlation time [s], their number, random numbers
+    draw : errors of the heating of size 1: model's error, its correlation, their number, random numbers
     """
     record_fit, error, size = trial.record_fit, trial.record_fit.model_error, trial.size
     assert error is not None  # the caller's model has one
     assert size is not None
-    scale, time, of_heating = np.unravel_index(
+    scale, kind, of_heating = np.unravel_index(
         rng.choice(size.posterior.size, size=count, p=size.posterior.ravel()), size.posterior.shape
     )
     heating = np.empty((len(error.time_s), count))
-    for k, n in zip(*np.unique(time, return_counts=True), strict=True):
-        heating[:, time == k] = draw(error, float(size.times_s[k]), int(n), rng)
+    for k, n in zip(*np.unique(kind, return_counts=True), strict=True):
+        heating[:, kind == k] = draw(error, size.correlations[k], int(n), rng)
     heating *= size.sizes[of_heating]
     flight = rng.standard_normal((record_fit.error_responses_K[1].shape[1], count))
     flight[: error.flight_K.shape[-1]] *= size.scales[scale] / error.flight_scale

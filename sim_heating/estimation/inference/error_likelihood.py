@@ -17,6 +17,7 @@ from sim_heating.estimation.inference.bounds import ChannelResiduals
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, scores
 from sim_heating.estimation.inference.model_error import (
     CorrelatedNoise,
+    Correlation,
     ErrorSize,
     FlightError,
     HeatingErrorPrior,
@@ -52,7 +53,7 @@ def model_error(
     record_fit: RecordFit,
     values: FloatArray,
     sigma: float,
-    correlation_s: float,
+    correlation: Correlation,
     flight: FlightError | None = None,
     noise: HeatingNoise | None = None,
 ) -> ModelError:
@@ -60,7 +61,7 @@ def model_error(
 
     record_fit : a record of a fit, with all samples that are ever asked for
     values     : (parameter,) of the model
-    sigma, correlation_s : of the heating's error, s [-] and tau [s]
+    sigma, correlation : of the heating's error, s [-] and how far in time it is alike
     flight     : the error of the flight
     noise      : of the heating, from that of the conditions
     raises     : RunError where the model cannot be marched
@@ -78,7 +79,7 @@ def model_error(
     moved = np.moveaxis(T[1:] - T[0], 0, -1) / STEP
     of_flight = flight_response(record_fit, values, flight)
     return ModelError(
-        knots, record_fit.sample_s, moved, of_flight, flight, sigma, correlation_s,
+        knots, record_fit.sample_s, moved, of_flight, flight, sigma, correlation,
         _correlated_noise(record_fit), noise, None if noise is None else _white_K(record_fit, values, noise),
     )  # fmt: skip
 
@@ -122,7 +123,7 @@ def noise_error(record_fit: RecordFit, values: FloatArray, noise: HeatingNoise) 
     samples = len(record_fit.sample_s)
     none = np.zeros((len(record_fit.record.sensors), samples, 0))
     return ModelError(
-        np.zeros(0), record_fit.sample_s, none, none, None, 0.0, 1.0,
+        np.zeros(0), record_fit.sample_s, none, none, None, 0.0, Correlation(1.0),
         heating_noise=noise, white_K=_white_K(record_fit, values, noise),
     )  # fmt: skip
 
@@ -455,12 +456,12 @@ def error_size(
     wider = np.ones((len(scales), len(information)))
     wider[:, :directions] = (np.array(list(scales)) / error.flight_scale)[:, np.newaxis]
     wider[:, others:drawn] = np.array(list(scales))[:, np.newaxis]
-    sizes, times_s, weights = prior.grid()
+    sizes, correlations, weights = prior.grid()
     log_weight = np.log(list(scales.values()))[:, np.newaxis, np.newaxis] + weights
     log_likelihood = np.empty(log_weight.shape)
     SS, Sr, SJ = S.T @ S, S.T @ r, S.T @ J
-    for i, tau in enumerate(times_s):
-        L = error.of_size(1.0, tau).correlation_root
+    for i, correlation in enumerate(correlations):
+        L = correlation.root(error.time_s)
         eigenvalues, V = np.linalg.eigh(L.T @ SS @ L)
         along = V.T @ L.T
         Ar, AJ, squares = along @ Sr, along @ SJ, np.maximum(eigenvalues, 0.0)
@@ -476,4 +477,4 @@ def error_size(
                 volume = float(np.linalg.slogdet(M[:drawn, :drawn])[1]) + 2.0 * float(np.sum(np.log(factors)))
                 square = square_read + float(known @ distance**2)
                 log_likelihood[j, i, k] = -0.5 * (square - float(g @ step) + volume)
-    return ErrorSize(sizes, times_s, np.array(list(scales)), log_likelihood, log_weight, error.smooth)
+    return ErrorSize(sizes, correlations, np.array(list(scales)), log_likelihood, log_weight)

@@ -49,6 +49,32 @@ TIMES = 4
 
 
 @dataclass(frozen=True)
+class Correlation:
+    """How far in time values of the heating's error are alike.
+
+        exp(-x), or where it is smooth (1 + sqrt(5) x + 5 x^2 / 3) exp(-sqrt(5) x),    x = |t_i - t_j| / tau
+
+    time_s : the correlation time tau [s];  smooth : whether the error has no corners
+
+    Source: docs/theory/model_error.md, equations 1 and 14; the second after B. Matern, Spatial Variation (1960).
+    """
+
+    time_s: float
+    smooth: bool = False
+
+    def root(self, at_s: FloatArray) -> FloatArray:
+        """(knot, knot) lower root of the correlation matrix of the error at some times [s], [-].
+
+        L / s of docs/theory/model_error.md, equation 1.
+        """
+        x = np.abs(at_s[:, np.newaxis] - at_s) / self.time_s
+        if not self.smooth:
+            return np.asarray(np.linalg.cholesky(np.exp(-x)))
+        y = math.sqrt(5.0) * x
+        return np.asarray(np.linalg.cholesky((1.0 + y + y**2 / 3.0) * np.exp(-y) + JITTER * np.eye(len(x))))
+
+
+@dataclass(frozen=True)
 class HeatingErrorPrior:
     """Prior of the smooth relative error of a record's heating.
 
@@ -63,24 +89,25 @@ class HeatingErrorPrior:
     longest_s: float = 600.0
 
     @property
-    def middle_s(self) -> float:
-        """Middle of the correlation times on a logarithmic scale [s]: docs/theory/model_error.md, equation 5."""
-        return math.sqrt(self.shortest_s * self.longest_s)
+    def middle(self) -> Correlation:
+        """The correlation in the middle of the times on a logarithmic scale: docs/theory/model_error.md, equation 5."""
+        return Correlation(math.sqrt(self.shortest_s * self.longest_s))
 
-    def grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(size,) standard deviations [-], (time,) correlation times [s], (time, size) logarithms of weights.
+    def grid(self) -> tuple[FloatArray, tuple[Correlation, ...], FloatArray]:
+        """(size,) standard deviations [-], (correlation,) correlations, (correlation, size) logarithms of weights.
 
-        Source: docs/theory/model_error.md, equation 5.
+        Source: docs/theory/model_error.md, equations 5 and 14.
         """
         sizes, ends = np.array(SIZES), np.log([self.shortest_s, self.longest_s])
         if self.relative == 0.0:  # the heating is exact, and something else is not
-            return np.zeros(1), np.array([self.middle_s]), np.zeros((1, 1))
+            return np.zeros(1), (self.middle,), np.zeros((1, 1))
         count = TIMES if self.longest_s > self.shortest_s else 1
-        middles = ends[0] + (np.arange(count) + 0.5) / count * (ends[1] - ends[0])
+        times_s = np.exp(ends[0] + (np.arange(count) + 0.5) / count * (ends[1] - ends[0]))
+        correlations = tuple(Correlation(float(tau), smooth) for smooth in (False, True) for tau in times_s)
         edges = np.concatenate([[0.0], 0.5 * (sizes[1:] + sizes[:-1]), [1.5 * sizes[-1]]])
         log_weight = np.log(np.diff(edges)) - 0.5 * (sizes / self.relative) ** 2
-        log_weight -= np.logaddexp.reduce(log_weight)
-        return sizes, np.exp(middles), np.tile(log_weight - math.log(count), (count, 1))
+        log_weight -= np.logaddexp.reduce(log_weight) + math.log(len(correlations))
+        return sizes, correlations, np.tile(log_weight, (len(correlations), 1))
 
 
 class FlightError(Protocol):
@@ -187,19 +214,6 @@ class HeatingNoise:
         return np.sqrt(np.divide(variance, width_s**2, out=np.zeros_like(variance), where=width_s > 0.0))
 
 
-def correlation_root(time_s: FloatArray, correlation_s: float, *, smooth: bool = False) -> FloatArray:
-    """(knot, knot) lower root of the correlation matrix of the heating's error at some times [-].
-
-        exp(-x), or where it is smooth (1 + sqrt(5) x + 5 x^2 / 3) exp(-sqrt(5) x),    x = |t_i - t_j| / tau
-
-    Source: docs/theory/model_error.md, equations 1 and 14; the second after B. Matern, Spatial Variation (1960).
-    """
-    x = np.abs(time_s[:, np.newaxis] - time_s) / correlation_s
-    y = math.sqrt(5.0) * x
-    kernel = (1.0 + y + y**2 / 3.0) * np.exp(-y) if smooth else np.exp(-x)
-    return np.asarray(np.linalg.cholesky(kernel + (JITTER * np.eye(len(x)) if smooth else 0.0)))
-
-
 @dataclass(frozen=True, eq=False)
 class ModelError:
     """The error of the model of one record.
@@ -209,8 +223,7 @@ class ModelError:
     heating_K  : (sensor, sample, knot) change of a reading for a relative error of 1 at a knot [K]
     flight_K   : (sensor, sample, direction) change of a reading for one standard deviation along a direction [K]
     flight     : the directions; None where the flight has no error
-    sigma      : standard deviation of the heating's error [-];  correlation_s : its correlation time [s]
-    smooth     : whether it has no corners: equation 14 in place of equation 1
+    sigma      : standard deviation of the heating's error [-];  correlation : how far in time it is alike
     noise      : of the sensors whose noise changes slowly, by their numbers
     heating_noise : white noise of the heating, which the noise of the conditions gives; None without any
     white_K    : (sensor, sample, value) change of a reading for one standard deviation of each value of the heating's
@@ -226,11 +239,10 @@ class ModelError:
     flight_K: FloatArray
     flight: FlightError | None
     sigma: float
-    correlation_s: float
+    correlation: Correlation
     noise: Mapping[int, CorrelatedNoise] = field(default_factory=dict)
     heating_noise: HeatingNoise | None = None
     white_K: FloatArray | None = None
-    smooth: bool = False
 
     @property
     def is_noise_alone(self) -> bool:
@@ -239,11 +251,11 @@ class ModelError:
 
     @cached_property
     def correlation_root(self) -> FloatArray:
-        """(knot, knot) lower root of the correlation matrix exp(-|t_i - t_j| / tau) [-].
+        """(knot, knot) lower root of the correlation matrix of the heating's error [-].
 
-        L / s of docs/theory/model_error.md, equation 1.
+        L / s of docs/theory/model_error.md, equations 1 and 14.
         """
-        return correlation_root(self.time_s, self.correlation_s, smooth=self.smooth)
+        return self.correlation.root(self.time_s)
 
     @property
     def flight_scale(self) -> float:
@@ -253,14 +265,14 @@ class ModelError:
         """
         return 1.0 if self.flight is None else self.flight.scale
 
-    def of_size(self, sigma: float, correlation_s: float, flight_scale: float | None = None) -> ModelError:
-        """This error with another standard deviation [-] and correlation time [s] of the heating.
+    def of_size(self, sigma: float, correlation: Correlation, flight_scale: float | None = None) -> ModelError:
+        """This error with another standard deviation [-] and correlation of the heating.
 
         flight_scale : factor on the standard deviations of the flight as stated [-]; by default as it is
 
         s and tau of docs/theory/model_error.md, equation 1, and c of equation 5a.
         """
-        sized = replace(self, sigma=sigma, correlation_s=correlation_s)
+        sized = replace(self, sigma=sigma, correlation=correlation)
         if self.flight is None or flight_scale in (None, self.flight_scale):
             return sized
         wider = flight_scale / self.flight_scale
@@ -314,19 +326,17 @@ class ModelError:
 class ErrorSize:
     """What the readings of a record say of the size of its model's error, with a model of the record.
 
-    sizes  : (size,) standard deviations of the heating's [-];  times_s : (time,) its correlation times [s]
+    sizes  : (size,) standard deviations of the heating's [-];  correlations : (correlation,) how far it is alike
     scales : (scale,) factors on the standard deviations of the flight as stated [-]
-    log_likelihood : (scale, time, size) largest over the parameters, the error integrated out
-    log_weight     : (scale, time, size) of the prior
-    smooth : whether that error of the heating has no corners
+    log_likelihood : (scale, correlation, size) largest over the parameters, the error integrated out
+    log_weight     : (scale, correlation, size) of the prior
     """
 
     sizes: FloatArray
-    times_s: FloatArray
+    correlations: tuple[Correlation, ...]
     scales: FloatArray
     log_likelihood: FloatArray
     log_weight: FloatArray
-    smooth: bool = False
 
     @property
     def evidence(self) -> float:
@@ -337,34 +347,32 @@ class ErrorSize:
         return float(np.logaddexp.reduce((self.log_likelihood + self.log_weight).ravel()))
 
     def at(self, error: ModelError) -> float:
-        """Log likelihood at size, correlation time and scale of an error, which are of the grid [-].
+        """Log likelihood at size, correlation and scale of an error, which are of the grid [-].
 
         Source: docs/theory/model_error.md, equation 5.
         """
-        j, i = (
-            int(np.argmin(np.abs(np.log(values / at))))
-            for values, at in ((self.scales, error.flight_scale), (self.times_s, error.correlation_s))
-        )
-        return float(self.log_likelihood[j, i, int(np.argmin(np.abs(self.sizes - error.sigma)))])
+        j = int(np.argmin(np.abs(np.log(self.scales / error.flight_scale))))
+        i, k = self.correlations.index(error.correlation), int(np.argmin(np.abs(self.sizes - error.sigma)))
+        return float(self.log_likelihood[j, i, k])
 
     @property
     def posterior(self) -> FloatArray:
-        """(scale, time, size) probability of each [-]: docs/theory/model_error.md, equation 5."""
+        """(scale, correlation, size) probability of each [-]: docs/theory/model_error.md, equation 5."""
         return np.exp(self.log_likelihood + self.log_weight - self.evidence)
 
     @property
     def posterior_of_heating(self) -> FloatArray:
-        """(time, size) probability of each, whatever the flight's error [-]: docs/theory/model_error.md, equation 5."""
+        """(correlation, size) probability [-] of each, whatever the flight's: docs/theory/model_error.md, (5)."""
         return np.asarray(self.posterior.sum(axis=0))
 
     @property
-    def likeliest(self) -> tuple[float, float, float]:
-        """Most probable standard deviation [-], correlation time [s] and scale of the flight's error [-].
+    def likeliest(self) -> tuple[float, Correlation, float]:
+        """Most probable standard deviation [-], correlation and scale of the flight's error [-].
 
         Source: docs/theory/model_error.md, equations 5 and 5a.
         """
         at = np.unravel_index(int(np.argmax(self.posterior)), self.posterior.shape)
-        return float(self.sizes[at[2]]), float(self.times_s[at[1]]), float(self.scales[at[0]])
+        return float(self.sizes[at[2]]), self.correlations[at[1]], float(self.scales[at[0]])
 
     @property
     def log_likelihood_of_scale(self) -> FloatArray:

@@ -155,7 +155,7 @@ def _model_error(fitted: FitResult) -> dict[str, float] | None:
     """Size of the heating's error and its correlation time [s], in a fit with an error of its model."""
     errors = [r.model_error for r in fitted.problem.record_fits]
     first = next((e for e in errors if e is not None and not e.is_noise_alone), None)
-    return None if first is None else {"relative": first.sigma, "correlation_s": first.correlation_s}
+    return None if first is None else {"relative": first.sigma, "correlation_s": first.correlation.time_s}
 
 
 def _process_noise(fitted: FitResult) -> dict[str, Any] | None:

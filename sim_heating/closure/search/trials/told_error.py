@@ -111,7 +111,7 @@ def told_error(trial: TrialFit, *, phase_count: int = 8) -> ToldError | None:
     phases = [index for index in np.array_split(order, phase_count) if len(index)]
     largest = max(phases, key=lambda index: float(np.mean(moved_K[index] ** 2)))
     return ToldError(
-        size.mean, size.limit(), size.likeliest[1], float(np.sqrt(np.mean(moved_K**2))),
+        size.mean, size.limit(), size.likeliest[1].time_s, float(np.sqrt(np.mean(moved_K**2))),
         f"{at_s[largest[0]]:.0f} to {at_s[largest[-1]]:.0f} s", _flight(trial, error, u),
         size.posterior_of_scale if len(size.scales) > 1 else {},
     )  # fmt: skip

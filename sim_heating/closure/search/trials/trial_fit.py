@@ -383,9 +383,7 @@ def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, floa
         values = start_values(thinned, start)
         noise = heating_noise(full.record_fits[0], start_values(full, start)) if record_fit.record.has_flow else None
         if prior is not None:
-            return model_error(
-                record_fit, values, prior.relative, prior.middle_s, flight_error(record_fit.record), noise
-            )
+            return model_error(record_fit, values, prior.relative, prior.middle, flight_error(record_fit.record), noise)
         return None if noise is None else noise_error(record_fit, values, noise)
     except RunError:  # a model so wrong that it cannot be marched everywhere
         return None
@@ -406,7 +404,7 @@ def with_own_error(trial: TrialFit) -> TrialFit:
     try:
         error = model_error(
             all_samples.record_fits[0], trial.fit.values, record_fit.model_error.sigma,
-            record_fit.model_error.correlation_s,
+            record_fit.model_error.correlation,
             record_fit.model_error.flight, record_fit.model_error.heating_noise,
         )  # fmt: skip
     except RunError:
