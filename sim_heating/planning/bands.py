@@ -278,7 +278,7 @@ def _with_model_error(
     other_K2  : (channel, time) variance by all else
     changes_K : (knot, channel, time) change of the temperatures by STEP of the heating at each knot
 
-    Source: docs/theory/model_error.md, equations 1, 5 and 14.
+    Source: docs/theory/model_error.md, equations 1, 1a and 5.
     """
     response, probability = np.moveaxis(changes_K, 0, -1) / STEP, known.posterior_of_heating
     roots = [correlation.root(knots_s) for correlation in known.correlations]

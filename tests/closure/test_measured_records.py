@@ -33,7 +33,7 @@ from sim_heating.closure.search.trials.trial_fit import (
 from sim_heating.closure.statement import causes_like_errors
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.error_likelihood import model_error
-from sim_heating.estimation.inference.model_error import ErrorSize, correlation_root
+from sim_heating.estimation.inference.model_error import Correlation, ErrorSize
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.inputs.points import conditions_of_record
@@ -101,7 +101,7 @@ def test_a_smooth_error_of_the_heating_is_no_cause():
     rng = np.random.default_rng(11)
     record = with_error_of_heating(
         unrounded(load_record(RECORDS / "practice" / "p06")),
-        lambda t: 0.04 * correlation_root(t, 200.0) @ rng.standard_normal(len(t)),
+        lambda t: 0.04 * Correlation(200.0).root(t) @ rng.standard_normal(len(t)),
         rng,
     )
     found = search_effects(as_measured(record))

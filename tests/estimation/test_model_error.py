@@ -18,12 +18,12 @@ from sim_heating.estimation.inference.error_likelihood import (
     scored_readings,
 )
 from sim_heating.estimation.inference.likelihood import log_likelihood
-from sim_heating.estimation.inference.model_error import HeatingErrorPrior
+from sim_heating.estimation.inference.model_error import Correlation, HeatingErrorPrior
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.inputs.record import FlightUncertainty, load_record
 from tests.support.paths import ROOT
 
-SIGMA, CORRELATION_S = 0.05, 150.0
+SIGMA, CORRELATION = 0.05, Correlation(150.0)
 REFERENCE = (40.0, 0.0, 6.3, 0.0, 0.0)
 
 
@@ -38,7 +38,7 @@ def unrounded(record):
 def problem():
     record = unrounded(load_record(ROOT / "scenarios" / "records" / "practice" / "p06"))
     plain = FitProblem([record], ["ratio.scale", "ratio.d_alpha"], REFERENCE)
-    error = model_error(plain.record_fits[0], np.zeros(2), SIGMA, CORRELATION_S)
+    error = model_error(plain.record_fits[0], np.zeros(2), SIGMA, CORRELATION)
     return plain.with_model_error(error)
 
 
@@ -158,7 +158,7 @@ def test_readings_held_out_are_as_uncertain_as_the_parameters_are(halves):
 def test_without_an_error_the_likelihood_is_as_it_was():
     record = load_record(ROOT / "scenarios" / "records" / "practice" / "p06")
     plain = FitProblem([record], ["ratio.scale"], REFERENCE)
-    tiny = plain.with_model_error(model_error(plain.record_fits[0], np.zeros(1), 1e-9, CORRELATION_S))
+    tiny = plain.with_model_error(model_error(plain.record_fits[0], np.zeros(1), 1e-9, CORRELATION))
     at = np.array([0.05])
     expected, found = plain.evaluate(at), tiny.evaluate(at)
     assert found.log_likelihood == pytest.approx(expected.log_likelihood, abs=1e-6)
@@ -180,13 +180,14 @@ def test_the_response_is_that_of_a_march_with_other_heating(problem):
 
 
 @pytest.mark.thorough
-def test_the_size_of_an_error_is_found_from_readings_made_with_it(problem):
+@pytest.mark.parametrize("smooth", [False, True], ids=["with corners", "smooth"])
+def test_the_size_of_an_error_is_found_from_readings_made_with_it(problem, smooth):
     part, rng = problem.record_fits[0], np.random.default_rng(5)
     samples, prior = problem.samples(AT), HeatingErrorPrior(0.05, 60.0, 600.0)
     towards = (np.full(2, 1e4), -AT)
     sizes = {}
     for true in (0.0, 0.02, 0.08):
-        error = part.model_error.of_size(true, CORRELATION_S)
+        error = part.model_error.of_size(true, replace(CORRELATION, smooth=smooth))
         e = true * error.correlation_root @ rng.standard_normal(len(error.time_s))
         made = []
         for s in samples:
@@ -201,6 +202,7 @@ def test_the_size_of_an_error_is_found_from_readings_made_with_it(problem):
     assert sizes[0.0].limit() < 0.012
     assert 0.01 < sizes[0.02].mean < 0.04
     assert 0.045 < sizes[0.08].mean < 0.14
+    assert sizes[0.08].likeliest[1].smooth is smooth
 
 
 @pytest.fixture(scope="module")
@@ -211,7 +213,7 @@ def flown():
     conditions = record.declared.conditions.model_copy(update={"uncertainty": stated})
     record = replace(record, declared=record.declared.model_copy(update={"conditions": conditions}))
     plain = FitProblem([record], ["ratio.scale"], REFERENCE)
-    error = model_error(plain.record_fits[0], np.zeros(1), SIGMA, CORRELATION_S, flight_error(record))
+    error = model_error(plain.record_fits[0], np.zeros(1), SIGMA, CORRELATION, flight_error(record))
     return plain.with_model_error(error)
 
 
@@ -234,7 +236,7 @@ SCALES = {1.0: 0.68, 2.0: 0.26, 4.0: 0.06}
 def error_size_at(problem, samples, free=(False,), of_flight=(False,), sigma=0.1):
     """What readings say of the size of the errors about the middle of the prior of the one parameter."""
     towards = np.array([sigma**-2.0]), np.zeros(1)
-    prior = HeatingErrorPrior(0.05, CORRELATION_S, CORRELATION_S)
+    prior = HeatingErrorPrior(0.05, CORRELATION.time_s, CORRELATION.time_s)
     return error_size(problem.record_fits[0], samples, towards, np.array(free), prior, SCALES, np.array(of_flight))
 
 
@@ -276,14 +278,14 @@ def test_a_flight_further_off_than_stated_says_so(flown, sigmas, likeliest):
 
 def test_an_error_of_a_wider_flight_is_that_of_wider_sigmas(flown):
     error = flown.record_fits[0].model_error
-    wider = error.of_size(error.sigma, error.correlation_s, 2.0)
+    wider = error.of_size(error.sigma, error.correlation, 2.0)
     f = 0.3 * np.ones(len(error.flight.directions))
     for name in ("h_ref_kg_m2_s", "H_r_J_kg"):
         np.testing.assert_allclose(
             wider.flight.record(f).conditions[name], error.flight.record(2.0 * f).conditions[name], rtol=1e-12
         )
     np.testing.assert_allclose(wider.flight_K, 2.0 * error.flight_K)
-    back = wider.of_size(error.sigma, error.correlation_s, 1.0)
+    back = wider.of_size(error.sigma, error.correlation, 1.0)
     np.testing.assert_allclose(back.flight_K, error.flight_K)
 
 

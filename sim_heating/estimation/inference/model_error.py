@@ -56,7 +56,7 @@ class Correlation:
 
     time_s : the correlation time tau [s];  smooth : whether the error has no corners
 
-    Source: docs/theory/model_error.md, equations 1 and 14; the second after B. Matern, Spatial Variation (1960).
+    Source: docs/theory/model_error.md, equations 1 and 1a; the second after B. Matern, Spatial Variation (1960).
     """
 
     time_s: float
@@ -96,7 +96,7 @@ class HeatingErrorPrior:
     def grid(self) -> tuple[FloatArray, tuple[Correlation, ...], FloatArray]:
         """(size,) standard deviations [-], (correlation,) correlations, (correlation, size) logarithms of weights.
 
-        Source: docs/theory/model_error.md, equations 5 and 14.
+        Source: docs/theory/model_error.md, equations 1a and 5.
         """
         sizes, ends = np.array(SIZES), np.log([self.shortest_s, self.longest_s])
         if self.relative == 0.0:  # the heating is exact, and something else is not
@@ -253,7 +253,7 @@ class ModelError:
     def correlation_root(self) -> FloatArray:
         """(knot, knot) lower root of the correlation matrix of the heating's error [-].
 
-        L / s of docs/theory/model_error.md, equations 1 and 14.
+        L / s of docs/theory/model_error.md, equations 1 and 1a.
         """
         return self.correlation.root(self.time_s)
 
