@@ -207,10 +207,10 @@ class SmoothFlightError:
 
 ALPHA = "alpha_bias_deg"
 SHORTEST_S = 15.0
-"""Shortest correlation time of a heating's error in a fit and in a prediction, where none is stated [s].
+"""Shortest correlation time of a heating's error where nothing is distinguished from another, if none is stated [s].
 
-A search for causes has none below a minute, since a shorter one would buy a jump (docs/theory/model_error.md, section
-"Size"). Nothing is distinguished from another here, and an error that changes faster would count as a larger one.
+A search for causes has none below a minute, since a shorter one would buy a jump, and no smooth one, which would buy a
+slow cause (docs/theory/model_error.md, section "Size").
 """
 
 
@@ -277,6 +277,7 @@ def stated_error(record: Record) -> StatedError:
         0.05
     """
     heating = heating_error_prior(record)
-    if heating is not None and heating.shortest_s < heating.longest_s:
-        heating = replace(heating, shortest_s=SHORTEST_S)
+    if heating is not None:
+        shortest_s = SHORTEST_S if heating.shortest_s < heating.longest_s else heating.shortest_s
+        heating = replace(heating, shortest_s=shortest_s, may_be_smooth=True)
     return StatedError(heating, other_flight(record))

@@ -64,7 +64,7 @@ def _may_be(p: float, larger: int, made: int) -> bool:
 
 
 def slow_errors(error: ModelError, correlation: Correlation, count: int, rng: np.random.Generator) -> FloatArray:
-    """(knot, record) normally distributed errors of the heating, of size 1.
+    """(knot, record) Gauss-Markov errors of the heating, of size 1.
 
     Source: docs/theory/model_error.md, equation 1.
     """
@@ -72,12 +72,10 @@ def slow_errors(error: ModelError, correlation: Correlation, count: int, rng: np
 
 
 def jumping_errors(error: ModelError, correlation: Correlation, count: int, rng: np.random.Generator) -> FloatArray:
-    """(knot, record) errors of the heating of size 1 that jump, or are normal where they have no corners.
+    """(knot, record) errors of the heating that jump, of size 1.
 
     Source: docs/theory/model_error.md, equation 6b.
     """
-    if correlation.smooth:
-        return slow_errors(error, correlation, count, rng)
     values = rng.standard_normal((len(error.time_s), count))
     stays = np.exp(-np.diff(error.time_s, prepend=-np.inf) / correlation.time_s)[:, np.newaxis]
     jumps = rng.random(values.shape) >= stays

@@ -80,6 +80,7 @@ class HeatingErrorPrior:
 
     relative : scale of the half-normal prior of its standard deviation [-]
     shortest_s, longest_s : limits of the log-uniform prior of its correlation time [s]; equal where it is stated
+    may_be_smooth : whether it may have no corners, which is then as probable as that it has
 
     The defaults are those of a measured flight that states none: 5 % of the heating, over parts of an entry, a choice.
     """
@@ -87,6 +88,7 @@ class HeatingErrorPrior:
     relative: float = 0.05
     shortest_s: float = 60.0
     longest_s: float = 600.0
+    may_be_smooth: bool = False
 
     @property
     def middle(self) -> Correlation:
@@ -103,7 +105,8 @@ class HeatingErrorPrior:
             return np.zeros(1), (self.middle,), np.zeros((1, 1))
         count = TIMES if self.longest_s > self.shortest_s else 1
         times_s = np.exp(ends[0] + (np.arange(count) + 0.5) / count * (ends[1] - ends[0]))
-        correlations = tuple(Correlation(float(tau), smooth) for smooth in (False, True) for tau in times_s)
+        kinds = (False, True) if self.may_be_smooth else (False,)
+        correlations = tuple(Correlation(float(tau), smooth) for smooth in kinds for tau in times_s)
         edges = np.concatenate([[0.0], 0.5 * (sizes[1:] + sizes[:-1]), [1.5 * sizes[-1]]])
         log_weight = np.log(np.diff(edges)) - 0.5 * (sizes / self.relative) ** 2
         log_weight -= np.logaddexp.reduce(log_weight) + math.log(len(correlations))

@@ -131,10 +131,10 @@ class TrialFit:
 
     @cached_property
     def told_size(self) -> ErrorSize | None:
-        """What the readings say of the size of its model's error, with correlation times from a quarter of a minute.
+        """What the readings say of the size of its model's error, smooth or not, over a quarter of a minute and more.
 
-        None without an error. A comparison of causes has none below a minute, where an error that changes faster counts
-        as a larger one.
+        None without an error. A comparison of causes has none below a minute and none that is smooth: an error that
+        changes faster counts as a larger one there, a smooth one as a smaller one.
         """
         if self.size is None:
             return None
