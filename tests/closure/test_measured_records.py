@@ -151,6 +151,10 @@ def test_a_stated_uncertainty_is_used_whether_measured_or_not():
     stated = replace(record, declared=declared)
     prior, flight = heating_error_prior(stated), flight_error(stated)
     assert (prior.relative, prior.shortest_s, prior.longest_s) == (0.02, 90.0, 90.0)
+    believed = replace(prior, scales={1.0: 1.0})
+    eight_sigmas = np.searchsorted(prior.grid()[0], 8.0 * 0.02)
+    assert prior.grid()[2][0, eight_sigmas] > believed.grid()[2][0, eight_sigmas] + 20.0  # it may be too small
+    assert heating_error_prior(as_measured(record)).scales == {1.0: 1.0}
     assert list(flight.directions) == [("velocity_relative", 0.003)]
     none = record.declared.heating.model_copy(update={"uncertainty": HeatingUncertainty(relative=0.0)})
     exact = replace(record, declared=record.declared.model_copy(update={"heating": none}))

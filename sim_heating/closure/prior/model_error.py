@@ -17,8 +17,7 @@ from scipy.special import chdtrc
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.prior.changed_flight import ANGLES, shift_conditions, with_alpha, with_density, with_velocity
-from sim_heating.estimation.inference.error_likelihood import AS_STATED
-from sim_heating.estimation.inference.model_error import HeatingErrorPrior, StatedError
+from sim_heating.estimation.inference.model_error import AS_STATED, HeatingErrorPrior, StatedError
 from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import BY_CONFIDENCE, FlightUncertainty, Record
@@ -35,15 +34,15 @@ the flight's error could not say it.
 
 MEASURED_FLIGHT = HeatingErrorPrior()
 """Error of the heating of a measured flight that states none."""
-FLIGHT_SCALES = (1.0, 2.0, 4.0)
-"""Factors by which the standard deviations that a flight states may be too small."""
+SCALES = (1.0, 2.0, 4.0)
+"""Factors by which standard deviations that a record states may be too small."""
 KNOTS_A_SCALE, MOST_KNOTS = 3.0, 100
 """Knots of the density's error in each length that it is correlated over, and their intervals at most.
 
 The line between knots a distance h apart leaves out tanh(h / 2) of its variance at the middle, h over that length.
 """
 STATED_DOF = 3.0
-"""Degrees of freedom of a standard deviation that a flight states: it is itself known to 40 % (JCGM 100:2008, G.4.2).
+"""Degrees of freedom of a standard deviation that a record states: it is itself known to 40 % (JCGM 100:2008, G.4.2).
 
 Differences between measurements of one quantity, over their stated uncertainties, have Student's t distribution with
 few of them, often near one (D. C. Bailey, "Not Normal: the uncertainties of scientific measurements", R. Soc. Open Sci.
@@ -61,9 +60,19 @@ def heating_error_prior(record: Record) -> HeatingErrorPrior | None:
     if stated is None or stated.relative == 0.0:
         is_needed = slow or flight_error(record) is not None
         return replace(MEASURED_FLIGHT, relative=0.0) if is_needed else None
-    if stated.correlation_s is None:
-        return replace(MEASURED_FLIGHT, relative=stated.relative)
-    return HeatingErrorPrior(stated.relative, stated.correlation_s, stated.correlation_s)
+    prior = replace(MEASURED_FLIGHT, relative=stated.relative, scales=stated_scales())
+    tau_s = stated.correlation_s
+    return prior if tau_s is None else replace(prior, shortest_s=tau_s, longest_s=tau_s)
+
+
+def stated_scales() -> Mapping[float, float]:
+    """Factor on standard deviations that a record states -> its prior probability [-].
+
+    Source: docs/theory/model_error.md, equation 5a.
+    """
+    c = np.array(SCALES)
+    smaller = chdtrc(STATED_DOF, STATED_DOF / (c[1:] * c[:-1]))
+    return dict(zip(SCALES, np.diff(smaller, prepend=0.0, append=1.0).tolist(), strict=True))
 
 
 def flight_scales(record: Record) -> Mapping[float, float]:
@@ -72,11 +81,8 @@ def flight_scales(record: Record) -> Mapping[float, float]:
     Those that a record states may be too small; those that follow from a confidence are judged to be wide enough.
     Source: docs/theory/model_error.md, equation 5a.
     """
-    if record.declared.conditions.uncertainty is None or flight_error(record) is None:
-        return AS_STATED
-    c = np.array(FLIGHT_SCALES)
-    smaller = chdtrc(STATED_DOF, STATED_DOF / (c[1:] * c[:-1]))
-    return dict(zip(FLIGHT_SCALES, np.diff(smaller, prepend=0.0, append=1.0).tolist(), strict=True))
+    is_believed = record.declared.conditions.uncertainty is None or flight_error(record) is None
+    return AS_STATED if is_believed else stated_scales()
 
 
 def flight_error(record: Record) -> SmoothFlightError | None:

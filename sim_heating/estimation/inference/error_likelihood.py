@@ -16,6 +16,7 @@ from sim_heating.base.kernels.block import LANES
 from sim_heating.estimation.inference.bounds import ChannelResiduals
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, scores
 from sim_heating.estimation.inference.model_error import (
+    AS_STATED,
     CorrelatedNoise,
     Correlation,
     ErrorSize,
@@ -45,8 +46,6 @@ MEMORY = 8
 """Steps that the curvature of the inner iteration is taken from."""
 TOGETHER = 64
 """Readings that the filter takes at a time."""
-AS_STATED: Mapping[float, float] = {1.0: 1.0}
-"""Prior of the factor on the flight's standard deviations where these are believed as they are stated."""
 
 
 def model_error(

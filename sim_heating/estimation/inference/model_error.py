@@ -44,6 +44,8 @@ MOST_NOISE_KNOTS = 150
 """Largest number of knots of white noise of the heating."""
 JITTER = 1e-8
 """Added to the diagonal of a smooth correlation matrix, which rounding may make indefinite [-]."""
+AS_STATED: Mapping[float, float] = {1.0: 1.0}
+"""Prior of the factor on stated standard deviations where these are believed as they are."""
 TIMES = 4
 """Correlation times that it is integrated over, evenly spaced on a logarithmic scale."""
 
@@ -81,6 +83,7 @@ class HeatingErrorPrior:
     relative : scale of the half-normal prior of its standard deviation [-]
     shortest_s, longest_s : limits of the log-uniform prior of its correlation time [s]; equal where it is stated
     may_be_smooth : whether it may have no corners, which is then as probable as that it has
+    scales : factor on `relative` -> its probability [-]: a size that somebody states may be too small
 
     The defaults are those of a measured flight that states none: 5 % of the heating, over parts of an entry, a choice.
     """
@@ -89,6 +92,7 @@ class HeatingErrorPrior:
     shortest_s: float = 60.0
     longest_s: float = 600.0
     may_be_smooth: bool = False
+    scales: Mapping[float, float] = field(default_factory=lambda: AS_STATED)
 
     @property
     def middle(self) -> Correlation:
@@ -108,7 +112,9 @@ class HeatingErrorPrior:
         kinds = (False, True) if self.may_be_smooth else (False,)
         correlations = tuple(Correlation(float(tau), smooth) for smooth in kinds for tau in times_s)
         edges = np.concatenate([[0.0], 0.5 * (sizes[1:] + sizes[:-1]), [1.5 * sizes[-1]]])
-        log_weight = np.log(np.diff(edges)) - 0.5 * (sizes / self.relative) ** 2
+        c, p = np.array(list(self.scales)), np.array(list(self.scales.values()))
+        half_normal = np.exp(-0.5 * (sizes[:, np.newaxis] / (c * self.relative)) ** 2) / c
+        log_weight = np.log(np.diff(edges)) + np.log(half_normal @ p)
         log_weight -= np.logaddexp.reduce(log_weight) + math.log(len(correlations))
         return sizes, correlations, np.tile(log_weight, (len(correlations), 1))
 
