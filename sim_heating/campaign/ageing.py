@@ -77,10 +77,7 @@ def walks_of_fits(rows: Sequence[Mapping[str, Any]], sigmas: Mapping[str, float]
     walks = []
     for point in dict.fromkeys(row["control_point"] for row in rows):
         for name, sigma_per_flight in sigmas.items():
-            by_flight: dict[str, list[Mapping[str, Any]]] = {}
-            for row in rows:
-                if row["control_point"] == point and name in row["parameters"]:
-                    by_flight.setdefault(row["flights"][0], []).append(row["parameters"][name])
+            by_flight = _estimates_by_flight(rows, point, name)
             flown = [flight for flight in flights if flight in by_flight]
             if not flown:
                 continue
@@ -110,6 +107,17 @@ def next_flight_settings(walks: Sequence[Walk]) -> str:
     return toml_text(
         {"prior": prior}, "Parameters that age, as they are known before the next flight: estimate --settings FILE"
     )
+
+
+def _estimates_by_flight(
+    rows: Sequence[Mapping[str, Any]], point: str, name: str
+) -> dict[str, list[Mapping[str, Any]]]:
+    """Estimates of a parameter at a control point, by the flight that they are from."""
+    by_flight: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        if row["control_point"] == point and name in row["parameters"]:
+            by_flight.setdefault(row["flights"][0], []).append(row["parameters"][name])
+    return by_flight
 
 
 def _weighted_mean(estimates: Sequence[Mapping[str, Any]]) -> tuple[float, float]:

@@ -188,6 +188,14 @@ def _point_section(result: CampaignResult, point: str) -> list[Section]:
     if not rows:
         return [Section(f"Fits of {point}", points=points)] if points else []
     names = [p.name for p in RATIO if any(p.name in r["parameters"] for r in rows)]
+    points += [f"{name} not estimated: {why} ({', '.join(w)})" for (name, why), w in _not_estimated(rows).items()]
+    pictures = [Picture(_draw(point, names, rows), f"Estimates of {point} with bounds of 2 sigma")] if names else []
+    tables = [_fit_table(rows, names), *_other_parameters(rows)]
+    return [Section(f"Fits of {point}", points=points, tables=tables, pictures=pictures)]
+
+
+def _fit_table(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> Table:
+    """Estimates of these parameters by fit, a remark where any fit has one; fits of several flights stand out."""
     columns = [
         Column("manoeuvre"),
         Column("flights", is_text=True),
@@ -200,11 +208,8 @@ def _point_section(result: CampaignResult, point: str) -> list[Section]:
     if any(remarks):
         columns.append(Column("remark", is_text=True))
         cells = [[*row, remark] for row, remark in zip(cells, remarks, strict=True)]
-    points += [f"{name} not estimated: {why} ({', '.join(w)})" for (name, why), w in _not_estimated(rows).items()]
     strong = [i for i, r in enumerate(rows) if len(r["flights"]) > 1]
-    pictures = [Picture(_draw(point, names, rows), f"Estimates of {point} with bounds of 2 sigma")] if names else []
-    tables = [Table("", columns, cells, strong, sortable=len(cells) > SORTABLE), *_other_parameters(rows)]
-    return [Section(f"Fits of {point}", points=points, tables=tables, pictures=pictures)]
+    return Table("", columns, cells, strong, sortable=len(cells) > SORTABLE)
 
 
 def _who(row: Mapping[str, Any]) -> str:

@@ -33,6 +33,7 @@ from sim_heating.base.files import (
     Declared,
     LocatedError,
     Location,
+    Roots,
     display_path,
     raise_problems,
     read_toml,
@@ -221,26 +222,7 @@ def load_campaign(path: str | os.PathLike[str] | Campaign, *, root: str | os.Pat
     vehicle = load_vehicle(vehicle_place(campaign_path, declared.vehicle, root=root), root=root)
     roots = roots_of(campaign_path, root, vehicle.directory)
     raise_problems(_repeated_flights(declared, display_path(campaign_path)))
-    read = cache(partial(load_scenario, root=root))
-    flights, problems = [], []
-    for i, source in enumerate(declared.flight, start=1):
-        key = "scenario" if source.scenario is not None else "records"
-        source_path = roots.named(source.scenario or source.records or "", f"[[flight]] {i}: `{key}`")
-        where = f"{display_path(campaign_path)}, [[flight]] {i}: "
-        if not source_path.exists():
-            problems.append(f"{where}`{key}`: there is no {display_path(source_path)}")
-            continue
-        if source.scenario is None:
-            flights.append(FlightInput((), (), source_path, source.check))
-            continue
-        scenario = read(source_path)
-        seeded = (scenario,) if source.seeds is None else tuple(with_seed(scenario, s) for s in source.seeds)
-        flights.append(FlightInput(seeded, tuple(source.seeds or [None]), None, source.check))
-        if scenario.vehicle.name != vehicle.name:
-            problems.append(
-                f"{where}{display_path(source_path)} flies {scenario.vehicle.name}, the campaign revises the tables of "
-                f"{vehicle.name}; they must be one vehicle"
-            )
+    flights, problems = _flight_inputs(campaign_path, declared, vehicle.name, roots, root)
     problems += [
         f"{display_path(campaign_path)}: `control_points`: {vehicle.name} has no {name}"
         for name in declared.control_points or ()
@@ -253,6 +235,38 @@ def load_campaign(path: str | os.PathLike[str] | Campaign, *, root: str | os.Pat
         )
     raise_problems(problems)
     return Campaign(campaign_path, declared, vehicle, tuple(flights), None if root is None else Path(root).absolute())
+
+
+def _flight_inputs(
+    path: Path, declared: CampaignFile, vehicle: str, roots: Roots, root: str | os.PathLike[str] | None
+) -> tuple[list[FlightInput], list[str]]:
+    """Flights of a campaign whose files exist, and a line for each that has none or flies another vehicle."""
+    read = cache(partial(load_scenario, root=root))
+    flights, problems = [], []
+    for i, source in enumerate(declared.flight, start=1):
+        key = "scenario" if source.scenario is not None else "records"
+        source_path = roots.named(source.scenario or source.records or "", f"[[flight]] {i}: `{key}`")
+        where = f"{display_path(path)}, [[flight]] {i}: "
+        if not source_path.exists():
+            problems.append(f"{where}`{key}`: there is no {display_path(source_path)}")
+            continue
+        if source.scenario is None:
+            flights.append(FlightInput((), (), source_path, source.check))
+            continue
+        scenario = read(source_path)
+        flights.append(_seeded(scenario, source))
+        if scenario.vehicle.name != vehicle:
+            problems.append(
+                f"{where}{display_path(source_path)} flies {scenario.vehicle.name}, the campaign revises the tables of "
+                f"{vehicle}; they must be one vehicle"
+            )
+    return flights, problems
+
+
+def _seeded(scenario: Scenario, source: FlightSource) -> FlightInput:
+    """A scenario with each seed of its source, or with its own."""
+    scenarios = (scenario,) if source.seeds is None else tuple(with_seed(scenario, s) for s in source.seeds)
+    return FlightInput(scenarios, tuple(source.seeds or [None]), None, source.check)
 
 
 def _repeated_flights(declared: CampaignFile, file: str) -> list[str]:

@@ -842,22 +842,29 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     for name in (declared.conditions.file, declared.thermocouples.file, heating.ratio_table, heating.turbulent_file):
         if name is not None:
             roots.check_link(home / name)
-    reference = REFERENCE_COLUMNS if declared.heating.reference == "columns" else ()
-    ground = declared.heating.reference == "none"
-    columns_needed = ("time_s",) if ground else (*STATE, "p_surface_Pa", *reference)
-    # the density may follow from q_Pa: its absence is noticed where it does not
-    required = tuple(c for c in columns_needed if c not in (*declared.conditions.constants, "rho_kg_m3"))
     files = (heating.ratio_table, heating.turbulent_file)
     table, turbulent = (None if file is None else read_ratio_table(home / file) for file in files)
-    spared = [name for name in SURFACES if not _depends_on_surface(name, heating, (table, turbulent))]
-    required = tuple(c for c in required if c not in spared)
-    optional = (*(c for c in (*STATE, *HEATING) if c not in required), *OPTIONAL_COLUMNS)
+    required, optional = _condition_columns(declared, (table, turbulent))
     conditions, declared = _conditions_of_file(home / declared.conditions.file, required, optional, declared)
     columns = [*declared.thermocouples.columns]
     thermocouples = read_csv_columns(
         home / declared.thermocouples.file, ("time_s", *columns), allow_empty=columns, keep_other=False
     )
     return _check_record(declared, conditions, thermocouples, (table, turbulent), home)
+
+
+def _condition_columns(
+    declared: RecordFile, tables: tuple[RatioTable | None, RatioTable | None]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Columns of conditions that a record needs, and those that are read where they are there."""
+    heating = declared.heating
+    reference = REFERENCE_COLUMNS if heating.reference == "columns" else ()
+    needed = ("time_s",) if heating.reference == "none" else (*STATE, "p_surface_Pa", *reference)
+    spared = [name for name in SURFACES if not _depends_on_surface(name, heating, tables)]
+    # the density may follow from q_Pa: its absence is noticed where it does not
+    spared += [*declared.conditions.constants, "rho_kg_m3"]
+    required = tuple(c for c in needed if c not in spared)
+    return required, (*(c for c in (*STATE, *HEATING) if c not in required), *OPTIONAL_COLUMNS)
 
 
 def _conditions_of_file(

@@ -630,13 +630,19 @@ def _selection_problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
         return []
     name = repeated_name(chosen)
     repeated = [] if name is None else [f"control_points: `{name}` is repeated; name it once"]
-    requested = [c.control_point for c in declared.compare]
-    requested += [p for p in [declared.design.control_point if declared.design else None] if p is not None]
-    requested += [p for e in (*declared.effect, *declared.truth.effect) for p in e.control_points or []]
-    owner = {s.name: p.name for p in vehicle.control_points.values() for s in p.sensors}
-    requested += [owner[f.sensor] for f in declared.measurements.fault if f.sensor in owner]
-    absent = [name for name in dict.fromkeys(requested) if name in vehicle.control_points and name not in chosen]
+    absent = [p for p in _requested_points(declared, vehicle) if p in vehicle.control_points and p not in chosen]
     return repeated + [f"`{name}` is used but not selected in control_points; add it" for name in absent]
+
+
+def _requested_points(declared: ScenarioFile, vehicle: Vehicle) -> Iterable[str | None]:
+    """Control points that comparisons, a design, effects and faults of sensors name, each once."""
+    owner = {s.name: p.name for p in vehicle.control_points.values() for s in p.sensors}
+    return dict.fromkeys((
+        *(c.control_point for c in declared.compare),
+        *([declared.design.control_point] if declared.design else []),
+        *(p for e in (*declared.effect, *declared.truth.effect) for p in e.control_points or []),
+        *(owner[f.sensor] for f in declared.measurements.fault if f.sensor in owner),
+    ))  # fmt: skip
 
 
 def _collect_problems(call: Callable[[Any], object], items: Iterable[Any]) -> list[str]:

@@ -504,12 +504,7 @@ def make_link(
         roots = roots_of(file, root, vehicle.directory)
         sensors_of = {p.name: tuple(p.sensors) for p in vehicle.control_points.values()}
     else:
-        loaded = load_records([roots.existing(r, "`records`") for r in declared.records or []], root=root)
-        names = [r.declared.control_point for r in loaded]
-        raise_problems(_apart(loaded, file))
-        if (name := repeated_name(names)) is not None:
-            raise InputError(f"{display_path(file)}: two records are of control point {name}; leave one out")
-        records = dict(zip(names, loaded, strict=True))
+        records = _followed_records(declared.records or [], roots, file, root)
         sensors_of = {name: tuple(r.sensors) for name, r in records.items()}
     points = _points(declared, sensors_of, file)
     scenario = None
@@ -570,6 +565,18 @@ def _columns(declared: LinkFile, vehicle: Vehicle | None, records: Mapping[str, 
     if "q_Pa" in declared.conditions:  # the density follows from it
         spared |= {"rho_kg_m3"} - {*declared.conditions}
     return tuple(dict.fromkeys([*(name for name in needed if name not in spared), *declared.conditions]))
+
+
+def _followed_records(
+    names_of_files: Sequence[str], roots: Roots, file: Path, root: str | os.PathLike[str] | None
+) -> dict[str, Record]:
+    """Records of one flight by their control points; InputError where conditions differ or two have one point."""
+    records = load_records([roots.existing(name, "`records`") for name in names_of_files], root=root)
+    raise_problems(_apart(records, file))
+    names = [r.declared.control_point for r in records]
+    if (name := repeated_name(names)) is not None:
+        raise InputError(f"{display_path(file)}: two records are of control point {name}; leave one out")
+    return dict(zip(names, records, strict=True))
 
 
 def _apart(records: Sequence[Record], file: Path) -> list[str]:

@@ -319,12 +319,12 @@ class Ensemble:
     def _check_march(
         self, time_s: FloatArray, histories: FloatArray, which: Sequence[int], longest_step_s: float | None
     ) -> None:
+        if not _is_clock(time_s):
+            raise InputError("march: time_s must be finite and increase from sample to sample")
         shape = np.shape(histories)
-        if np.ndim(time_s) != 1 or len(shape) != 3 or shape[1:] != (len(time_s), N_CONDITIONS):
+        if len(shape) != 3 or shape[1:] != (len(time_s), N_CONDITIONS):
             expected = f"(flight, {len(time_s)} times, {N_CONDITIONS} conditions)"
             raise InputError(f"march: histories are {shape}; they must be {expected}")
-        if len(time_s) == 0 or not np.all(np.isfinite(time_s)) or np.any(np.diff(time_s) <= 0.0):
-            raise InputError("march: time_s must be finite and increase from sample to sample")
         if len(which) != len(self.models) or not all(0 <= w < shape[0] for w in which):
             raise InputError(f"march: {shape[0]} flights for {len(self.models)} points; name the flight of each point")
         if longest_step_s is not None and not longest_step_s > 0.0:
@@ -368,6 +368,13 @@ class Ensemble:
                 f"{', '.join(bad)}: the thermal step did not converge; check the layers' properties and "
                 "the heating, or take a smaller longest_step_s from Python"
             )
+
+
+def _is_clock(time_s: FloatArray) -> bool:
+    """Whether times are a row of finite ones that increase, one at least."""
+    return (
+        np.ndim(time_s) == 1 and len(time_s) > 0 and bool(np.all(np.isfinite(time_s)) and np.all(np.diff(time_s) > 0.0))
+    )
 
 
 def histories(flights: Sequence[Conditions]) -> FloatArray:

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli import cli
-from sim_heating.closure.close import close_loop, close_loops, write_joint_loop
+from sim_heating.closure.close import JointClosedLoop, close_loop, close_loops, write_joint_loop
 from sim_heating.closure.clues.correlation import residual_evidence
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.trial_fit import declared_fit
@@ -84,10 +84,19 @@ def test_under_the_lamp_that_is_stated_nothing_is_found() -> None:
     assert close_loop(brighter(1.0)).effects == ("none",)
 
 
+@pytest.fixture(scope="module")
+def cooled_plates(tmp_path_factory: pytest.TempPathFactory) -> JointClosedLoop:
+    """The closed loops of two plates under lamps of 8 % more flux, alone and jointly."""
+    folder = tmp_path_factory.mktemp("plates")
+    return close_loops([plate(folder, 300.0, 0.3, seed, flux_W_m2=1.08 * FLUX_OF_PLATE) for seed in (3, 4)])
+
+
 @pytest.mark.thorough
-def test_a_plate_that_cools_tells_its_lamp_and_one_that_is_only_heated_has_a_set(tmp_path: Path) -> None:
+def test_a_plate_that_cools_tells_its_lamp_and_one_that_is_only_heated_has_a_set(
+    cooled_plates: JointClosedLoop, tmp_path: Path
+) -> None:
     """While it is heated alone, less heat capacity does the same as more flux; each has its value."""
-    cooled = close_loop(plate(tmp_path, 300.0, 0.3, 3, flux_W_m2=1.08 * FLUX_OF_PLATE)).report.statement
+    cooled = cooled_plates.loops[0].report.statement
     assert (cooled.finding, cooled.not_effects[0].kind) == ("found", "flight")
     heated = close_loop(plate(tmp_path, 130.0, 1.0, 4, flux_W_m2=1.08 * FLUX_OF_PLATE)).report.statement
     assert heated.finding == "one of"
@@ -118,10 +127,9 @@ def test_a_joint_set_has_the_values_of_all_its_members_and_tells_what_was_not_tr
 
 
 @pytest.mark.thorough
-def test_what_a_record_partly_resembles_has_its_value_and_is_not_added(tmp_path: Path) -> None:
+def test_what_a_record_partly_resembles_has_its_value_and_is_not_added(cooled_plates: JointClosedLoop) -> None:
     """Two lamps of 8 % more flux are no property of the plate that they have in common."""
-    records = [plate(tmp_path, 300.0, 0.3, seed, flux_W_m2=1.08 * FLUX_OF_PLATE) for seed in (3, 4)]
-    closed = close_loops(records)
+    closed = cooled_plates
     stated = closed.report.statement
     assert stated.finding == "partly"
     assert {name for names in stated.alternatives for name in names} == set(stated.alternative_values)

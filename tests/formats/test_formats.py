@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,7 +19,6 @@ from tests.support.paths import ROOT
 from tools.format_pages import MARK, pages, shipped_files
 
 WITH_SCHEMA = [f.name for f in formats_with_schema()]
-WRITTEN = pages()
 
 
 def validator(name: str) -> Draft202012Validator:
@@ -29,10 +27,11 @@ def validator(name: str) -> Draft202012Validator:
     return Draft202012Validator(js)
 
 
-@pytest.mark.parametrize("path", WRITTEN, ids=lambda p: p.name)
-def test_written_again_by_benchmarks_format_pages(path: Path):
-    """Each schema and each page is the one that the models give."""
-    assert path.read_text() == WRITTEN[path]
+def test_each_schema_and_each_page_is_the_one_that_the_models_give():
+    """They are written by `python -m tools.format_pages`."""
+    written = pages()
+    assert len(written) > len(FORMATS)
+    assert [path.name for path, text in written.items() if path.read_text() != text] == []
 
 
 def test_every_shipped_file_fits_its_schema():

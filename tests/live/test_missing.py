@@ -104,8 +104,9 @@ def test_record_grown_since_the_alarm_is_weighed_again(tmp_path, monkeypatch):
         for message in messages_of(made):
             engine.take(message)
             engine.advance()
-            if engine.weigh():  # the flight waits for it here
-                state = state_when(engine, lambda s: not engine.weighing.busy)
+            before = engine.weighing.last
+            if engine.weigh():  # the flight waits for it here: until a state is of it, which ends at any moment
+                state = state_when(engine, lambda s, before=before: engine.weighing.last is not before)
                 ends.append(state.missing.text)
     finally:
         engine.stop()

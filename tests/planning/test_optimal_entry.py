@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -60,16 +61,21 @@ surface_K = 1900.0
 """
 
 
-@pytest.fixture(scope="module")
+@cache
+def limited(**change):
+    """The optimal entry with the cold limit on a coarse mesh, with keys of its study changed."""
+    return fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3, **change))
+
+
+@pytest.fixture
 def limited_flight():
-    return fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3))
+    return limited()
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("change", [{"tolerance_K": 25.0}, {"probability": 0.9}])
 def test_another_tolerance_or_probability_is_another_entry(limited_flight, change):
-    other = fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3, **change))
-    assert [p.bondline_K for p in other.peaks] != [p.bondline_K for p in limited_flight.peaks]
+    assert [p.bondline_K for p in limited(**change).peaks] != [p.bondline_K for p in limited_flight.peaks]
 
 
 @pytest.mark.sample(1)
@@ -199,7 +205,7 @@ def test_a_bondline_is_hottest_in_the_soak_after_the_entry():
 
 @pytest.mark.thorough
 def test_tables_drawn_from_their_sigma_keep_the_limit_as_often_as_asked():
-    entry = fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3, probability=0.9))
+    entry = limited(probability=0.9)
     inside = np.mean(peaks_with_drawn_tables(entry, 150, 7, 4.0)[0] <= 1900.0)
     assert inside == pytest.approx(0.9, abs=3.0 * np.sqrt(0.9 * 0.1 / 150))
     assert entry.nominal[0].surface_K < entry.peaks[0].surface_K - 10.0

@@ -7,7 +7,7 @@ import io
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -273,15 +273,27 @@ def _name_problems(
     file: str, names: list[str], required: Sequence[str], optional: Sequence[str], readings: Iterable[str]
 ) -> list[str]:
     """Problems of the row of names: missing, repeated, empty, misspelt; readings : columns that the user named."""
-    other = [n for n in names if n not in {*required, *optional}]
-    missing = [n for n in required if n not in names]
-    if missing and len(names) == 1 and (sign := next((s for s in ";\t" if s in names[0]), None)):
+    other, missing = _without(names, {*required, *optional}), _without(required, names)
+    if missing and (sign := _other_separator(names)):
         return [f"{file}, row of names: cells are separated by {sign!r}; separate them by commas"]
     problems = [f"{file}: there is no column `{n}`{_nearest_column(n, other, n in readings)}" for n in missing]
-    problems += [f"{file}: column `{n}` is repeated; remove one" for n in dict.fromkeys(names) if names.count(n) > 1]
-    problems += [f"{file}: column {i + 1} has no name; name or remove it" for i, n in enumerate(names) if not n]
-    absent = {n: nearest_name(n, other, cutoff=0.85) for n in optional if n not in names}
-    return problems + [f"{file}: unknown column `{c}`; did you mean `{n}`?" for n, c in absent.items() if c]
+    problems += _repeated_or_empty(file, names)
+    misspelt = {c: n for n in _without(optional, names) if (c := nearest_name(n, other, cutoff=0.85))}
+    return problems + [f"{file}: unknown column `{c}`; did you mean `{n}`?" for c, n in misspelt.items()]
+
+
+def _without(names: Iterable[str], others: Container[str]) -> list[str]:
+    return [n for n in names if n not in others]
+
+
+def _other_separator(names: list[str]) -> str:
+    """The sign that separates the names, where it is no comma; empty where it is."""
+    return next((s for s in ";\t" if s in names[0]), "") if len(names) == 1 else ""
+
+
+def _repeated_or_empty(file: str, names: list[str]) -> list[str]:
+    repeated = [f"{file}: column `{n}` is repeated; remove one" for n in dict.fromkeys(names) if names.count(n) > 1]
+    return repeated + [f"{file}: column {i + 1} has no name; name or remove it" for i, n in enumerate(names) if not n]
 
 
 def _nearest_column(name: str, other: list[str], of_readings: bool) -> str:

@@ -240,16 +240,21 @@ def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
             return match[1].strip(), match[2].strip()
     if inside and is_inside:
         return f"{inside[1]} {inside[3].lstrip(', ')}".strip(), inside[2]
-    for first in _endings(head):
-        name, ending = head[:first].rstrip("_ "), head[first:].lstrip("_ ")
-        if not name:
-            continue
-        top, *under = re.split("_", ending)
-        for unit in (ending, f"{top}/{' '.join(under)}" if under else ""):
-            if unit and _converts(unit, quantities):
-                return name, unit
+    if ended := _name_and_ending(head, quantities):
+        return ended
     match = re.fullmatch(SLASHED, head)
     return (match[1], match[2]) if match else (head, "")
+
+
+def _name_and_ending(head: str, quantities: Sequence[str]) -> tuple[str, str] | None:
+    """Name, and what follows a `_` or a blank, where that is a unit: `ft/s` of `vel_ft_s`."""
+    for first in _endings(head):
+        name, ending = head[:first].rstrip("_ "), head[first:].lstrip("_ ")
+        top, *under = re.split("_", ending)
+        for unit in (ending, f"{top}/{' '.join(under)}" if under else ""):
+            if name and unit and _converts(unit, quantities):
+                return name, unit
+    return None
 
 
 def _converts(unit: str, quantities: Sequence[str]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from sim_heating.campaign.figures import (
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement
 from sim_heating.campaign.figures.flown import FLAP, POPU, FlownData, LeftOut
 from sim_heating.campaign.flights import SCENARIO_SUFFIX, CampaignFlight, flight_of_scenario, read_flights
-from sim_heating.campaign.spec import load_campaign
+from sim_heating.campaign.spec import Campaign, load_campaign
 from sim_heating.simulation.run import fly_scenario
 
 SUMMARY, PAGE, COMMAND = "figures.json", "report.html", "figures"
@@ -175,17 +175,24 @@ def _flights(
             campaign = load_campaign(source, root=root)
             inputs += campaign.files
             paths.remove(Path(source))
-            for source_flight in campaign.flights:
-                if source_flight.records is not None:
-                    flights += read_flights([source_flight.records], root=root, progress=progress)
-                    continue
-                progress(0.0, f"flying {source_flight.scenarios[0].title}")
-                flown = fly_scenario(source_flight.scenarios[0])
-                flights += [flight_of_scenario(scenario, flown=flown) for scenario in source_flight.scenarios]
+            flights += _campaign_flights(campaign, root, progress)
     flights += read_flights(paths, root=root, progress=progress) if paths else []
     inputs += [path for f in flights if f.scenario is not None for path in f.scenario.files]
     inputs += [r.directory for f in flights if f.scenario is None for r in f.records.values() if r.directory.is_dir()]
     return flights, list(dict.fromkeys(inputs))
+
+
+def _campaign_flights(
+    campaign: Campaign, root: str | os.PathLike[str] | None, progress: Progress
+) -> Iterator[CampaignFlight]:
+    """Flights of a campaign: its records are read, each of its scenarios is flown once for all seeds."""
+    for source in campaign.flights:
+        if source.records is not None:
+            yield from read_flights([source.records], root=root, progress=progress)
+            continue
+        progress(0.0, f"flying {source.scenarios[0].title}")
+        flown = fly_scenario(source.scenarios[0])
+        yield from (flight_of_scenario(scenario, flown=flown) for scenario in source.scenarios)
 
 
 def _is_campaign(path: Path) -> bool:

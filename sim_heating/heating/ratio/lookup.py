@@ -129,8 +129,15 @@ def table_ratios_at(table: RatioTable, x: FloatArray) -> FloatArray:
     x       : (sample, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg]
     returns : (sample,) ratio [-], multilinear (docs/theory/equations.md, equation 7)
     """
-    packed = pack_table(table)
-    return np.array([table_ratio(packed, 0, row, 0) for row in np.ascontiguousarray(x, dtype=float)])
+    ratio = np.empty(len(x))
+    _write_ratios(pack_table(table), np.array(x, dtype=float, order="C"), ratio)
+    return ratio
+
+
+@njit
+def _write_ratios(table: FloatArray, x: FloatArray, ratio: FloatArray) -> None:
+    for i in range(len(x)):
+        ratio[i] = table_ratio(table, 0, x[i], 0)
 
 
 @njit

@@ -12,6 +12,7 @@ from __future__ import annotations
 import stat
 import zipfile
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -100,13 +101,7 @@ def _checked_files(archive: zipfile.ZipFile, packed_bytes: int) -> frozenset[str
     for entry in entries:
         if fault := _entry_fault(entry):
             raise InputError(f"contains `{entry.filename[:80]}`, {fault}; nothing was unpacked")
-    files = [str(PurePosixPath(e.filename)) for e in entries if not e.is_dir()]
-    folders = {str(parent) for e in entries for parent in PurePosixPath(e.filename).parents}
-    folders |= {str(PurePosixPath(e.filename)) for e in entries if e.is_dir()}
-    # Which of two entries a reader takes is its own affair: the checked description might not be the one that is used.
-    twice = [name for name, times in Counter(files).items() if times > 1 or name in folders]
-    if twice:
-        raise InputError(f"contains two entries for `{twice[0][:80]}`; nothing was unpacked")
+    files = _files_stated_once(entries)
     unpacked = sum(entry.file_size for entry in entries)
     if unpacked > LARGEST_UNPACKED or (unpacked > PACKED_WELL and unpacked > LARGEST_RATIO * packed_bytes):
         raise InputError(
@@ -115,6 +110,20 @@ def _checked_files(archive: zipfile.ZipFile, packed_bytes: int) -> frozenset[str
         )
     if DESCRIPTION not in files:
         raise InputError(f"is not an FMU (it contains no {DESCRIPTION})")
+    return files
+
+
+def _files_stated_once(entries: Sequence[zipfile.ZipInfo]) -> frozenset[str]:
+    """Names of the files; InputError where two entries have one name, or a file has that of a folder.
+
+    Which of two entries a reader takes is its own affair: the checked description might not be the one that is used.
+    """
+    files = [str(PurePosixPath(e.filename)) for e in entries if not e.is_dir()]
+    # a folder's name ends in `/`: with a letter behind, it is the parent of a file in it
+    folders = {str(parent) for e in entries for parent in PurePosixPath(f"{e.filename}x").parents}
+    twice = [name for name, times in Counter(files).items() if times > 1 or name in folders]
+    if twice:
+        raise InputError(f"contains two entries for `{twice[0][:80]}`; nothing was unpacked")
     return frozenset(files)
 
 
@@ -123,7 +132,7 @@ def _entry_fault(entry: zipfile.ZipInfo) -> str | None:
     names = (entry.filename, entry.orig_filename)
     if any(not n or not n.isprintable() for n in names):
         return "a name with characters that do not print"
-    if any(".." in PurePosixPath(n).parts or n.startswith("/") or "\\" in n or ":" in n for n in names):
+    if any(_leads_outside(n) for n in names):
         return "a path outside the archive"
     if any(len(segment.encode()) > LONGEST_PART for segment in PurePosixPath(entry.filename).parts):
         return "a name too long for a file"
@@ -133,6 +142,11 @@ def _entry_fault(entry: zipfile.ZipInfo) -> str | None:
     if entry.flag_bits & 0x1:
         return "which is encrypted"
     return None
+
+
+def _leads_outside(name: str) -> bool:
+    """Whether a name leads out of its folder, on any platform."""
+    return ".." in PurePosixPath(name).parts or name.startswith("/") or "\\" in name or ":" in name
 
 
 def _check_description(archive: zipfile.ZipFile, entry: str, root: str) -> None:
