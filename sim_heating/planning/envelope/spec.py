@@ -37,7 +37,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from sim_heating.base.files import Declared, LocatedError, repeated_name, suggestion
-from sim_heating.planning.envelope.case import AXES, OPEN_RANGES, Case
+from sim_heating.planning.envelope.case import AXES, BASE_ENTRY, OPEN_RANGES, Case
 from sim_heating.trajectory.spec import Manoeuvre
 
 Values = list[float]
@@ -104,6 +104,11 @@ class EnvelopeMap(_Result):
     def case(self, position: dict[str, float]) -> Case:
         """The case at a place, given by the axes' values."""
         return Case(**{**self.fixed, **position}, one_sided=self.one_sided)
+
+    def entry(self, position: dict[str, float]) -> str:
+        """Name of the entry at a place: all values of its axes and of `fixed`, and whether it is the base entry."""
+        values = ", ".join(f"{k} {v:g}" for k, v in {**position, **self.fixed}.items())
+        return values if self.case(position).changes() else f"{BASE_ENTRY} ({values})"
 
 
 class EnvelopeBoundary(_Result):

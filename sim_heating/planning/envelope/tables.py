@@ -133,7 +133,11 @@ def map_data(flown: FlownMap, study: Study) -> dict[str, Any]:
     return {
         "axes": flown.declared.axes,
         "flights": [
-            {"at": position, **flight_data(flight, bands=has_bands(study))}
+            {
+                "entry": flown.declared.entry(position),
+                "at": position,
+                **flight_data(flight, bands=has_bands(study)),
+            }
             for position, flight in zip(flown.positions, flown.flights, strict=True)
         ],
     }
@@ -160,20 +164,20 @@ def flight_data(flight: EvaluatedCase, *, bands: bool) -> dict[str, Any]:
 
 
 def map_table(flown: FlownMap, study: Study) -> Table:
-    """The margin that matters most at each place of a map (`EvaluatedCase.least`), at the 95 % band too where it has
+    """The margin that matters most of each entry of a map (`EvaluatedCase.least`), at the 95 % band too where it has
     one."""
     rows, bands = list[tuple[str, ...]](), has_bands(study)
     for position, flight in zip(flown.positions, flown.flights, strict=True):
-        at = tuple(f"{v:g}" for v in position.values())
+        entry = flown.declared.entry(position)
         least = flight.least
         if flight.error is not None or least is None:
-            rows.append((*at, "", flight.error or "no limit", "", *([""] if bands else [])))
+            rows.append((entry, "", flight.error or "no limit", "", *([""] if bands else [])))
             continue
         name, m = least
         at_band = [f"{m.at_band:.1f} {m.unit}"] if bands else []
-        rows.append((*at, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f} {m.unit}", *at_band))
+        rows.append((entry, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f} {m.unit}", *at_band))
     title = flown.declared.heading
-    heads: list[Column | str] = [*flown.declared.axes, "least margin", Column("limit", is_text=True), "sigma"]
+    heads: list[Column | str] = ["entry", "least margin", Column("limit", is_text=True), "sigma"]
     heads += ["margin at the 95 % band"] if bands else []
     return Table(f"Map: {title}", heads, rows)
 
