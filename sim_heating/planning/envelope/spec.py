@@ -38,6 +38,7 @@ from pydantic import Field, field_validator, model_validator
 
 from sim_heating.base.files import Declared, LocatedError, repeated_name, suggestion
 from sim_heating.planning.envelope.case import AXES, BASE_ENTRY, OPEN_RANGES, Case
+from sim_heating.planning.members import StudyMember
 from sim_heating.trajectory.spec import Manoeuvre
 
 Values = list[float]
@@ -162,18 +163,6 @@ class EnvelopeBoundary(_Result):
         return Case(**{**self.fixed, **of_family, self.along: position, self.across: value}, one_sided=self.one_sided)
 
 
-class EnvelopeMember(Declared):
-    """An [[envelope.member]]: an estimate that the evidence cannot tell from the others, with its weight. The page
-    of the study has a table of all members, and study.json the list `envelope.members`.
-
-    estimate : an estimate.json, or a directory with one, relative to the study
-    weight   : of the members together, that this one is true
-    """
-
-    estimate: str
-    weight: float = Field(default=1.0, gt=0.0, le=1e6)
-
-
 class Envelope(Declared):
     """The [envelope] table.
 
@@ -195,7 +184,7 @@ class Envelope(Declared):
     bodyflap_above_mach: float = Field(default=8.0, gt=0.0)
     elevon_arm_m: float = Field(default=6.0, gt=0.0)
     refinements: int = Field(default=1, ge=0, le=5)
-    member: list[EnvelopeMember] = Field(default=[])
+    member: list[StudyMember] = Field(default=[])
     map: list[EnvelopeMap] = Field(default=[])
     boundary: list[EnvelopeBoundary] = Field(default=[])
 

@@ -61,46 +61,6 @@ def csv_header(study: Study, title: str) -> dict[str, str]:
     }
 
 
-# Members -------------------------------------------------------------------------------------------------------------
-
-
-def member_data(study: Study) -> list[dict[str, Any]]:
-    """Estimates that the margins are by, for study.json: file, control point, weight and share; none without members.
-
-    share : weight over the sum of all weights [-], the probability that the estimate is true
-    """
-    envelope = study.declared.envelope
-    stated = [] if envelope is None else envelope.member
-    total = sum(s.weight for s in stated)
-    return [
-        {
-            "estimate": s.estimate,
-            "control_point": None if member.estimate is None else member.estimate.control_point,
-            "weight": s.weight,
-            "share": s.weight / total,
-        }
-        for s, member in zip(stated, study.members if stated else (), strict=True)
-    ]
-
-
-def member_table(study: Study) -> Table:
-    """The estimates of `member_data` for the page."""
-    columns = [
-        Column("estimate"),
-        Column("control point", is_text=True),
-        Column("weight", format="g"),
-        Column("share", format=".3g", unit="%"),
-    ]
-    rows = [
-        (m["estimate"], m["control_point"] or "several", m["weight"], 100.0 * m["share"]) for m in member_data(study)
-    ]
-    title = (
-        "Margins are by these estimates: a temperature is their mean by weight, and its band is that of their mixture. "
-        "At other control points an estimate's weight goes to what the vehicle declares"
-    )
-    return Table(title, columns, rows)
-
-
 # Maps ----------------------------------------------------------------------------------------------------------------
 
 
