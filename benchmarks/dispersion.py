@@ -154,10 +154,11 @@ def _errors_K(entry: DispersedEntry) -> tuple[float, float]:
     changes = [entry.flight_deviations(row) for row in deviation]
     study, found = entry.study, []
     fine = entry_sampler(study.base.declared.trajectory, study.vehicle.directory, FINE_STEP_S, FINE_SAMPLE_S)
-    meshes = [mesh for mesh, _ in choose_meshes(entry.lanes.models, FINE_SAMPLE_S)]
+    models = entry.lanes.models
+    meshes = [mesh for mesh, _ in choose_meshes(models, FINE_SAMPLE_S)]
     marches = (
         (entry.sampler, entry.lanes),
-        (fine, LaneMarch(study.vehicle, entry.points, entry.effects, meshes, FINE_SAMPLE_S, study.declared.soak_s)),
+        (fine, LaneMarch(study.vehicle, entry.points, models, meshes, FINE_SAMPLE_S, study.declared.soak_s)),
     )
     for sampler, lanes in marches:
         flown = sampler.fly(entry.inputs, changes)

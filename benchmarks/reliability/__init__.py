@@ -2,17 +2,19 @@
 
     python -m benchmarks reliability          # goes on where it was interrupted, from out/reliability
     python -m benchmarks.reliability --small
+    python -m benchmarks.reliability --only signals     # and leaves the other rows of its results as they are
 
 Each is drawn from a seed. Beside them stand `mutants`, `journals`, `kills`, `study_kills` and `concurrency`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import json
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from benchmarks.measure import Figure, Keep, kept, save
+from benchmarks.measure import RESULTS, Figure, kept, save
 from benchmarks.reliability import flights, killed_links, results, signals
 
 SEED = 5204
@@ -37,20 +39,32 @@ class Sizes:
 SMALL = Sizes(payloads=200, disks=2, moves=10, results=6, kills=4, signals=14)
 
 
-def run(sizes: Sizes | None = None, seed: int = SEED, progress: Callable[[str], None] = print) -> list[Figure]:
-    """Run all and save the results."""
-    used = sizes or Sizes()
+PARTS: dict[str, tuple[Callable[..., Iterable[Figure]], tuple[str, ...]]] = {
+    "flights": (flights.figures, ("payloads", "disks", "moves")),
+    "results": (results.figures, ("results",)),
+    "kills": (killed_links.figures, ("kills",)),
+    "signals": (signals.figures, ("signals",)),
+}
+"""What is run, in its order, and its sizes."""
+
+
+def run(
+    sizes: Sizes | None = None, seed: int = SEED, progress: Callable[[str], None] = print, only: str | None = None
+) -> list[Figure]:
+    """Run all, or one of PARTS, and save the results; saved rows of the other parts stay as they are then."""
+    used = asdict(sizes or Sizes())
     keep = kept(Path("out") / "reliability" / f"seed_{seed}")
     figures = list[Figure]()
-    for figure in _figures(used, seed, keep):
-        progress(f"{figure.what}: {figure.value:g} {figure.note}".rstrip())
-        figures.append(figure)
-    save("reliability", figures, {"seed": seed, "sizes": asdict(used)})
+    for part in [only] if only else PARTS:
+        of_part, names = PARTS[part]
+        for figure in of_part(*(used[n] for n in names), seed, keep):
+            progress(f"{figure.what}: {figure.value:g} {figure.note}".rstrip())
+            figures.append(figure)
+    if only is None:
+        save("reliability", figures, {"seed": seed, "sizes": used})
+        return figures
+    saved, new = json.loads((RESULTS / "reliability.json").read_text()), {f.what: f for f in figures}
+    rows = [Figure(**{k: v for k, v in row.items() if k != "verdict"}) for row in saved["figures"]]
+    changed = {n: used[n] for n in PARTS[only][1]}
+    save("reliability", [new.get(f.what, f) for f in rows], {"seed": seed, "sizes": saved["sizes"] | changed})
     return figures
-
-
-def _figures(sizes: Sizes, seed: int, keep: Keep) -> Iterator[Figure]:
-    yield from flights.figures(sizes.payloads, sizes.disks, sizes.moves, seed, keep)
-    yield from results.figures(sizes.results, seed, keep)
-    yield from killed_links.figures(sizes.kills, seed, keep)
-    yield from signals.figures(sizes.signals, seed, keep)

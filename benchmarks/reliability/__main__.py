@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from benchmarks.measure import table
-from benchmarks.reliability import SEED, SMALL, Sizes, run
+from benchmarks.reliability import PARTS, SEED, SMALL, Sizes, run
 
 
 def _size_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -21,12 +21,13 @@ def _size_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command(help="Run what no unit test reaches, and print what went wrong.")
 @click.option("--small", is_flag=True, help="sizes of a few minutes")
+@click.option("--only", type=click.Choice([*PARTS]), help="this part alone; other rows of the results stay")
 @click.option("--seed", type=int, default=SEED, show_default=True)
 @_size_options
-def main(small: bool, seed: int, **sizes: int | None) -> None:
+def main(small: bool, only: str | None, seed: int, **sizes: int | None) -> None:
     """Run and print."""
     stated = {name: count for name, count in sizes.items() if count is not None}
-    click.echo(table(run(replace(SMALL if small else Sizes(), **stated), seed, click.echo)))
+    click.echo(table(run(replace(SMALL if small else Sizes(), **stated), seed, click.echo, only)))
 
 
 if __name__ == "__main__":

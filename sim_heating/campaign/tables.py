@@ -50,7 +50,7 @@ def revise_tables(result: CampaignResult, doubts: Mapping[tuple[str, str], str],
                 continue
             against = _contradicted(updated, others)
             if against:
-                revert(load_vehicle(directory), row["control_point"])
+                revert(directory, row["control_point"])
                 result.refused.append(f"{title}: {against}")
             else:
                 result.updates.append(_update_row(row, updated))

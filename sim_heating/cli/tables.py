@@ -84,15 +84,16 @@ def update_tables(
 def _revert_table(vehicle: str, point: str | None, has_other_options: bool, root: Path | None) -> None:
     from sim_heating.closure.revise.revisions import revert, revising
     from sim_heating.closure.revise.update import check_target
-    from sim_heating.inputs.vehicle import load_vehicle, vehicle_directory
+    from sim_heating.inputs.vehicle import checked_directory
 
     check_target(vehicle, None)
     if point is None:
         raise InputError("update-tables: give FIT, an estimate.json or its directory, or --revert POINT")
     if has_other_options:
         raise InputError(f"--revert {point}: takes no other option; leave out --out and --dry-run")
-    with progress_line("update-tables") as progress, revising(vehicle_directory(vehicle), progress):
-        undone, now = revert(load_vehicle(vehicle, root=root), point)
+    directory = checked_directory(vehicle, root)
+    with progress_line("update-tables") as progress, revising(directory, progress):
+        undone, now = revert(directory, point)
     CONSOLE.print(f"{point}: revision {undone} undone; revision {now} is in force, byte for byte")
     report_results({"control_point": point, "undone": undone, "revision": now})
 

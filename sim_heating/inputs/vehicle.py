@@ -215,9 +215,7 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.Pa
     """
     if isinstance(vehicle, Vehicle):
         return vehicle
-    directory = vehicle_directory(vehicle)
-    # Once for all of its files: those of aerodynamics, guidance and attitude control are read when it flies.
-    roots_of(directory / "vehicle.toml", root).check_links(directory)
+    directory = checked_directory(vehicle, root)
     for _ in range(READINGS):
         settle(directory)
         before = _change_times(directory)
@@ -230,6 +228,17 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.Pa
             if _change_times(directory) == before:
                 return loaded
     raise InputError(f"{display_path(directory)}: other processes keep changing it; wait until they end")
+
+
+def checked_directory(vehicle: str | os.PathLike[str], root: str | os.PathLike[str] | None = None) -> Path:
+    """The folder of a vehicle by name or by path, none of whose symbolic links leads out of `root`.
+
+    raises : InputError where there is no such vehicle, or a link leads elsewhere
+    """
+    directory = vehicle_directory(vehicle)
+    # Once for all of its files: those of aerodynamics, guidance and attitude control are read when it flies.
+    roots_of(directory / "vehicle.toml", root).check_links(directory)
+    return directory
 
 
 def _change_times(directory: Path) -> list[int]:

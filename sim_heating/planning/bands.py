@@ -134,40 +134,54 @@ def estimated_model(model: PointModel, estimate: Estimate, values: dict[str, flo
     )
 
 
-def _open_parameters(model: PointModel, member: Member) -> tuple[dict[str, float], FloatArray]:
-    """Values by name in the model of what an estimate leaves open of a point, walls that its fit held among them, and
-    their covariance."""
+def open_parameters(model: PointModel, member: Member) -> dict[str, tuple[str, float]]:
+    """Name in the model -> label and value of what an estimate leaves open of a point, walls that its fit held among
+    them."""
     estimate, known = member.estimate, member.considered
     assert estimate is not None  # asked for with one
-    own = estimated_names(model, estimate)
-    values = {n: estimate.parameters[label].value for n, label in own.items()}
+    found = {n: (label, estimate.parameters[label].value) for n, label in estimated_names(model, estimate).items()}
     if known is None:
-        return values, estimate.covariance(list(own.values()))
+        return found
     fitted = estimated_model(model, estimate)
     for label in known.names[len(estimate.parameters) :]:
         name, _, owner = label.partition(AT)
         if owner in ("", model.name):
-            own[name] = label
-            values[name] = float(fitted.values[fitted.places[name]])
-    at = [known.names.index(label) for label in own.values()]
-    return values, known.covariance[np.ix_(at, at)]
+            found[name] = label, float(fitted.values[fitted.places[name]])
+    return found
+
+
+def open_covariance(member: Member, labels: Sequence[str]) -> FloatArray:
+    """(label, label) covariance of what an estimate leaves open, each in its unit."""
+    assert member.estimate is not None  # asked for with one
+    if member.considered is None:
+        return member.estimate.covariance(list(labels))
+    at = [member.considered.names.index(label) for label in labels]
+    return np.asarray(member.considered.covariance[np.ix_(at, at)])
+
+
+def principal_steps(covariance: FloatArray) -> FloatArray:
+    """(parameter, axis) steps of one standard deviation along the principal axes of a covariance, the largest first.
+
+    Independent standard normal numbers times these have the covariance.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    variance, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(sigma[:, np.newaxis] * axes * np.sqrt(np.maximum(variance, 0.0)))[:, ::-1]
 
 
 def _estimate_errors(model: PointModel, member: Member) -> Iterator[PointModel]:
     """Models one standard deviation along each principal axis of what an estimate leaves open, within its bounds."""
     assert member.estimate is not None  # asked for with one
-    values, covariance = _open_parameters(model, member)
-    at, sigma = np.array(list(values.values())), np.sqrt(np.diag(covariance))
-    scale = np.where(sigma > 0.0, sigma, 1.0)
-    variance, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    found = open_parameters(model, member)
+    at = np.array([value for _, value in found.values()])
     fitted = estimated_model(model, member.estimate)
-    low, high = np.array([(d.lower, d.upper) for d in map(fitted.definition, values)]).T
-    for v, axis in zip(np.maximum(variance, 0.0), axes.T, strict=True):
-        step = np.sqrt(v) * sigma * axis
+    low, high = np.array([(d.lower, d.upper) for d in map(fitted.definition, found)]).T
+    for step in principal_steps(open_covariance(member, [label for label, _ in found.values()])).T:
         there = next(
             (t for t in (at + step, at - step) if np.all((t >= low) & (t <= high))), np.clip(at + step, low, high)
         )
-        yield estimated_model(model, member.estimate, dict(zip(values, there.tolist(), strict=True)))
+        yield estimated_model(model, member.estimate, dict(zip(found, there.tolist(), strict=True)))
 
 
 def _table_error(model: PointModel, flown: Conditions) -> Conditions | None:
@@ -204,7 +218,7 @@ def _errors_of_point(
     if member.estimate is None:
         central, names = model, list[str]()
     else:
-        central, names = estimated_model(model, member.estimate), list(_open_parameters(model, member)[0])
+        central, names = estimated_model(model, member.estimate), list(open_parameters(model, member))
     hottest = int(np.argmax(flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]))
     for name, changed in varied_models(central, flown, hottest):
         if name != SCALE and not any(central.same_parameter(name, n) for n in names):

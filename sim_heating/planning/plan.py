@@ -22,8 +22,9 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
 from sim_heating.credibility.facts.of_flight import facts_of_study
 from sim_heating.credibility.section import credibility_section
-from sim_heating.credibility.statement import Facts, Statement, assess
+from sim_heating.credibility.statement import NOT_LOOKED_AT, Facts, Statement, assess
 from sim_heating.planning.dispersion.report import DISPERSION, with_dispersion
+from sim_heating.planning.envelope.case import BASE_ENTRY
 from sim_heating.planning.envelope.report import ENVELOPE, NEXT_FLIGHT
 from sim_heating.planning.optimal.report import OPTIMAL
 from sim_heating.planning.part import Engine, PartResult, StudyPart
@@ -68,12 +69,14 @@ class Plan:
             flown = run(self.study.base).facts()
         except (InputError, RunError):
             return facts
+        # The maps of a study state margins of other entries beside these.
+        stated, kept = flown.uncertainty, flown.holds
         return replace(
             facts,
             samples=flown.samples,
             mesh_error_K=flown.mesh_error_K,
-            uncertainty=flown.uncertainty,
-            holds=flown.holds,
+            uncertainty=None if stated is None else replace(stated, quantity=f"{stated.quantity} in the {BASE_ENTRY}"),
+            holds=kept if kept == NOT_LOOKED_AT else replace(kept, text=f"{BASE_ENTRY}, as `run` has it: {kept.text}"),
         )
 
     def __repr__(self) -> str:

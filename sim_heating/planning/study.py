@@ -22,8 +22,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,8 @@ from sim_heating.trajectory.spec import TrajectorySpec
 
 HASH_LENGTH = 12
 """Characters of the hash that every figure shows."""
+TABLES_WITH_MEMBERS = ("envelope", "dispersion")
+"""Tables of a study that take members of a set of estimates."""
 
 
 class StudyFile(Declared):
@@ -86,7 +88,7 @@ class Study:
     points : its control points with their temperature limits
     hash   : of the study and all its inputs, HASH_LENGTH characters
     root   : folder that its files may name others in, as it was given
-    estimates : files of the estimates that margins are by
+    estimates : files of the members of each table that has some, by the name of the table
     """
 
     path: Path
@@ -95,7 +97,7 @@ class Study:
     points: tuple[LimitedPoint, ...]
     hash: str
     root: Path | None = None
-    estimates: tuple[Path, ...] = ()
+    estimates: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<Study `{self.title}`: {self.stamp}>"
@@ -118,24 +120,31 @@ class Study:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files and directories that it is made from; no results may replace them."""
-        return (self.path, *self.base.files, *self.estimates)
+        return (self.path, *self.base.files, *(p for paths in self.estimates.values() for p in paths))
 
     @cached_property
-    def members(self) -> tuple[Member, ...]:
-        """What may be true of the control points, each with its weight, for margins at the band; none without bands.
+    def _members(self) -> dict[str, tuple[Member, ...]]:
+        return {table: self._read_members(table) for table in TABLES_WITH_MEMBERS}
 
+    def members(self, table: str) -> tuple[Member, ...]:
+        """What may be true of the control points, each with its weight.
+
+        table  : "envelope", whose margins at the band are by them, empty without bands; or "dispersion"
         raises : InputError for an estimate that cannot be read, or of no control point of the study
         """
-        envelope = self.declared.envelope
-        if envelope is None or not envelope.bands:
+        return self._members[table]
+
+    def _read_members(self, table: str) -> tuple[Member, ...]:
+        declared = getattr(self.declared, table)
+        if declared is None or (isinstance(declared, Envelope) and not declared.bands):
             return ()
         members = []
-        for i, (path, stated) in enumerate(zip(self.estimates, envelope.member, strict=True), 1):
+        for i, (path, stated) in enumerate(zip(self.estimates[table], declared.member, strict=True), 1):
             member = read_member(path, stated.weight, self.root)
             point = member.estimate.control_point if member.estimate else None
             if point is not None and point not in self.base.names:
                 raise InputError(
-                    f"{display_path(self.path)}, [[envelope.member]] {i}: `estimate`: {display_path(path)} is of "
+                    f"{display_path(self.path)}, [[{table}.member]] {i}: `estimate`: {display_path(path)} is of "
                     f"{point}, which is not among the study's control points; add it there"
                 )
             members.append(member)
@@ -178,26 +187,29 @@ def load_study(
         )
     base = _base(study_path, declared, loaded, root)
     points, estimates = _limited_points(study_path, declared, base), _estimates(study_path, declared, base, root)
-    digest = _hash(study_path, declared, base, estimates)
+    digest = _hash(study_path, declared, base, (path for paths in estimates.values() for path in paths))
     at = None if root is None else Path(root).absolute()
     study = Study(study_path, declared, base, points, digest, at, estimates)
     study.optimal()
-    _ = study.members  # read once, so that what is wrong with an estimate is told here
+    _ = study._members  # read once, so that what is wrong with an estimate is told here
     return study
 
 
 def _estimates(
     study_path: Path, declared: StudyFile, base: Scenario, root: str | os.PathLike[str] | None
-) -> tuple[Path, ...]:
-    """Files of the estimates that margins are by."""
-    roots, paths = roots_of(study_path, root, base.vehicle.directory), list[Path]()
-    for i, member in enumerate(declared.envelope.member if declared.envelope else (), 1):
-        where = f"[[envelope.member]] {i}: `estimate`"
-        path = estimate_path(roots.named(member.estimate, where))
-        if not path.is_file():
-            raise InputError(f"{display_path(study_path)}, {where}: the file {display_path(path)} does not exist")
-        paths.append(path)
-    return tuple(paths)
+) -> dict[str, tuple[Path, ...]]:
+    """Files of the members of each table that has some."""
+    roots, estimates = roots_of(study_path, root, base.vehicle.directory), dict[str, tuple[Path, ...]]()
+    for table in TABLES_WITH_MEMBERS:
+        stated, paths = getattr(declared, table), list[Path]()
+        for i, member in enumerate(stated.member if stated else (), 1):
+            where = f"[[{table}.member]] {i}: `estimate`"
+            path = estimate_path(roots.named(member.estimate, where))
+            if not path.is_file():
+                raise InputError(f"{display_path(study_path)}, {where}: the file {display_path(path)} does not exist")
+            paths.append(path)
+        estimates[table] = tuple(paths)
+    return estimates
 
 
 def _base(study_path: Path, declared: StudyFile, vehicle: Vehicle, root: str | os.PathLike[str] | None) -> Scenario:
@@ -244,7 +256,7 @@ def _limited_points(study_path: Path, declared: StudyFile, base: Scenario) -> tu
     return tuple(limits.get(n, Limit(control_point=n)).limited(base.vehicle.control_point(n)) for n in base.names)
 
 
-def _hash(study_path: Path, declared: StudyFile, base: Scenario, estimates: Sequence[Path]) -> str:
+def _hash(study_path: Path, declared: StudyFile, base: Scenario, estimates: Iterable[Path]) -> str:
     """SHA-256 over the study, the base entry, all files of the vehicle, estimates, and user-defined effects."""
     digest = hashlib.sha256(declared.model_dump_json().encode())
     digest.update(base.declared.model_dump_json(exclude={"vehicle", "title"}).encode())

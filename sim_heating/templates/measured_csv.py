@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import islice
+from itertools import combinations, islice
 from pathlib import Path
 from typing import Literal
 
@@ -317,6 +317,8 @@ def read_measured_csv(
     others = [c for c in columns if c.name != clock.name]
     others = _unused(others, {c.name for c in others if c.kind == TIME}, "another column is the time")
     columns = _readings(block, [clock, *others], heads, chosen, kinds)
+    if not base.column:
+        _tell_of_one_name(block, columns, kinds, are_named=bool(temperatures))
     columns, rows, row_notes = _rows_kept(block, columns, kinds)
     named = f"names in line {block.names_line}" if block.has_names else "no names"
     measured = MeasuredCsv(
@@ -334,6 +336,58 @@ def read_measured_csv(
     if TEMPERATURE in kinds:
         _name_far_off(measured)
     return measured
+
+
+def _tell_of_one_name(block: Block, columns: Sequence[CsvColumn], kinds: Sequence[str], *, are_named: bool) -> None:
+    """Warn of columns that have one name in the file, of which at least one is read.
+
+    are_named : whether a person names the temperatures that are read
+    raises    : InputError where two of them hold the same readings, and nobody names one
+    """
+    names, bare = _names_and_units(block)[0], _bare_names_and_units(block)[0]
+    read = {c.name: c for c in columns if c.kind in kinds and c.kind != TIME}
+    for name in dict.fromkeys(n for n in bare if bare.count(n) > 1):
+        places = [k for k, other in enumerate(bare) if other == name]
+        used = [read[names[k]] for k in places if names[k] in read]
+        if not used:
+            continue
+        where = f"{display_path(block.path)}: columns {_listed([str(k + 1) for k in places])}"
+        if not are_named and (twins := next(((a, b) for a, b in combinations(used, 2) if _read_alike(a, b)), None)):
+            others = [c for c in read.values() if c.kind == TEMPERATURE and c is not twins[1]]
+            options = " ".join(
+                f'--temperature "{c.name}"' if " " in c.name else f"--temperature {c.name}" for c in others
+            )
+            rule = f"and {twins[0].name} and {twins[1].name} hold the same readings"
+            raise InputError(
+                f"{where} are named `{name}`, {rule}; a sensor would count twice: name those that are read, {options}"
+            )
+        given = _listed([f"`{names[k]}`" for k in places])
+        count = f"read as {len(used)} sensors" if len(used) > 1 else f"`{used[0].name}` is read"
+        warnings.warn(f"{where} are named `{name}`: {given} here, {count}", stacklevel=3)
+
+
+def _listed(words: Sequence[str]) -> str:
+    """`2, 3 and 5`."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def _read_alike(a: CsvColumn, b: CsvColumn) -> bool:
+    """Whether two columns have the same readings in SI units: to the rounding of their numbers where these are in other
+    units or of other digits."""
+    both = np.isfinite(a.values) & np.isfinite(b.values)
+    if a.kind != b.kind or not np.any(both) or np.any(np.isfinite(a.values) != np.isfinite(b.values)):
+        return False
+    steps = [_rounding(c) for c in (a, b)]
+    tolerance = 0.0 if a.unit == b.unit and steps[0] == steps[1] else 0.5 * sum(steps)
+    return bool(np.max(np.abs(a.si[both] - b.si[both])) <= tolerance * (1.0 + 1e-6))
+
+
+def _rounding(column: CsvColumn) -> float:
+    """Step of the numbers of a column as they are written, in SI units."""
+    scale, values = converted(column.unit, SI_UNITS[column.kind]), column.values[np.isfinite(column.values)]
+    assert scale is not None  # of a column with readings
+    digits = next((d for d in range(DIGITS) if np.allclose(np.round(values, d), values, rtol=1e-12, atol=0.0)), DIGITS)
+    return float(abs(scale.factor) * 10.0**-digits)
 
 
 def _unused(columns: Sequence[CsvColumn], names: Collection[str], reason: str) -> list[CsvColumn]:
@@ -502,6 +556,15 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
 def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
     """Name of each column, no two alike, and the unit that the row of units or the name states."""
     names: list[str] = []
+    bare, stated = _bare_names_and_units(block)
+    for k, name in enumerate(bare):
+        names.append(name if name not in names else f"{name} {k + 1}")
+    return names, stated
+
+
+def _bare_names_and_units(block: Block) -> tuple[list[str], list[str]]:
+    """Name of each column as the file has it, without its unit, and the unit of the row of units or of the name."""
+    names: list[str] = []
     stated: list[str] = []
     for k, (head, unit) in enumerate(zip(block.names, block.units, strict=True)):
         name, unit_in_name = name_and_unit(head or f"column{k + 1}", list(SI_UNITS.values()))
@@ -512,7 +575,7 @@ def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
             name, unit_in_name = raw[1], raw[2]
         if factor := re.fullmatch(FACTOR, name):
             name, unit_in_name = factor[1], f"{unit_in_name} {factor[2]}".strip()
-        names.append(name if name not in names else f"{name} {k + 1}")
+        names.append(name)
         stated.append(unit.strip("-") or unit_in_name)
     return names, stated
 

@@ -109,7 +109,7 @@ def test_a_vehicle_is_free_again_where_its_writer_was_killed(workdir: Path) -> N
 def test_a_revert_leaves_no_folder_behind(workdir: Path) -> None:
     before = sorted(Path("orbiter").rglob("*"))
     update_and_write("first.json")
-    revert(load_vehicle("./orbiter"), POINT)
+    revert(Path("orbiter"), POINT)
     assert sorted(Path("orbiter").rglob("*")) == before
 
 
@@ -135,7 +135,7 @@ def test_a_kill_at_any_file_operation_leaves_one_whole_revision_or_the_other(dee
 
     case = {
         "update": Case(prepare, update, "orbiter"),
-        "revert": Case(prepare, lambda folder: revert(load_vehicle(folder / "orbiter"), POINT), "orbiter"),
+        "revert": Case(prepare, lambda folder: revert(folder / "orbiter", POINT), "orbiter"),
         "copy": Case(lambda _: None, revise_copy, "copies", fresh=True),
     }[deed]
     (workdir / "kills").mkdir()

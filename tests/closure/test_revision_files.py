@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import read_json, with_digest
+from sim_heating.base.files import read_json, text_digest, with_digest
 from sim_heating.cli import main
 from sim_heating.closure.revise.revisions import read_history
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
@@ -89,11 +89,6 @@ DAMAGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "negative variance": (put("evidence", "covariance", 0, 0, value=-1.0), "`covariance`: is not positive definite"),
     "indefinite covariance": (indefinite, "`covariance`: is not positive definite"),
     "covariance of one": (put("evidence", "covariance", value=[[1e-6]]), "`covariance`: has 1 rows for 2 names"),
-    "another value": (put("evidence", "ratio", 0, value=0.5), "its evidence does not make the table"),
-    "wider bounds": (
-        lambda d: put("evidence", "covariance", value=(9.0 * np.array(d["evidence"]["covariance"])).tolist())(d),
-        "its evidence does not make the table",
-    ),
     "no reach": (lambda d: d["reach"].pop("beta_deg"), "[reach]: must hold a distance from 1e-09"),
     "half a segment": (put("records", 0, "segments", value=[[3.0]]), "[3.0] is not [start_s, end_s]"),
     "no records": (put("records", value="first"), "`records`: \"first\" is not a list"),
@@ -113,6 +108,44 @@ def test_a_damaged_revision_is_refused_in_one_line(
     assert hint in lines[0]
     assert f"{REVISIONS}/revision_3.json" in lines[0]
     assert len(lines) <= 2, lines
+
+
+OTHER_EVIDENCE: dict[str, Callable[[dict[str, Any]], object]] = {
+    "another value": put("evidence", "ratio", 0, value=0.5),
+    "wider bounds": lambda d: put(
+        "evidence", "covariance", value=(9.0 * np.array(d["evidence"]["covariance"])).tolist()
+    )(d),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_EVIDENCE)
+def test_a_revision_with_other_evidence_is_refused_and_can_be_undone(name: str, revised: Path) -> None:
+    before = (revised / "revision_2.csv").read_bytes()
+    rewritten(revised / "revision_3.json", OTHER_EVIDENCE[name])
+    with pytest.raises(InputError, match=r"revision_3\.json: its evidence does not make the table"):
+        read_history(load_vehicle("./orbiter"), POINT)
+    assert main(["update-tables", "--vehicle", "./orbiter", "--revert", POINT]) == 0
+    assert table_of(Path("orbiter")).read_bytes() == before
+
+
+def test_a_table_that_was_revised_below_zero_is_reverted(revised: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As a version without the check wrote it: no command reads the vehicle, and the revert says what was wrong."""
+    table, before = table_of(Path("orbiter")), (revised / "revision_2.csv").read_bytes()
+    lines = table.read_text().splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("alpha_deg"))
+    cells = lines[at + 1].split(",")
+    cells[lines[at].split(",").index("ratio")] = "-0.4"
+    table.write_text("\n".join([*lines[: at + 1], ",".join(cells), *lines[at + 2 :]]) + "\n")
+    rewritten(revised / "revision_3.json", put("table_hash", value=text_digest(table.read_text())))
+    assert main(["validate", "./orbiter"]) == 2
+    capsys.readouterr()
+    assert main(["update-tables", "--vehicle", "./orbiter", "--revert", POINT]) == 0
+    printed = capsys.readouterr()
+    assert f"{POINT}: revision 3 undone; revision 2 is in force" in printed.out
+    assert f"row {at + 2}, column ratio: -0.4 is not a ratio of film coefficients" in printed.err
+    assert "revision 3, which is undone, had it" in printed.err
+    assert table.read_bytes() == before
+    assert main(["validate", "./orbiter"]) == 0
 
 
 @pytest.mark.parametrize("revision", ["2", "3"])

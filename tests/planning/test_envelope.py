@@ -363,6 +363,19 @@ def test_every_file_names_vehicle_revision_and_study(planned: Path) -> None:
         assert (out / "envelope" / f"{name}.png").stat().st_size > 10_000
 
 
+def test_every_margin_names_the_entry_that_it_is_of(planned: Path) -> None:
+    """In the map and under credibility, where the margins of two entries seem to contradict each other."""
+    names = ["alpha_offset_deg -6", "base entry (alpha_offset_deg 0)"]
+    result = read_json(planned / "out" / "study.json")
+    assert [f["entry"] for f in result["envelope"]["maps"]["alpha"]["flights"]] == names
+    evidence = result["credibility"]["evidence"]
+    assert evidence["robustness.holds"]["finding"].startswith("base entry, as `run` has it: least margin ")
+    assert " in the base entry: sigma " in evidence["uncertainty.stated"]["finding"]
+    page = (planned / "out" / "report.html").read_text().replace("<wbr>", "")
+    assert all(f"<td>{name}</td>" in page for name in names)
+    assert "base entry, as " in page
+
+
 def test_a_study_announces_all_files_that_it_may_write(planned: Path) -> None:
     """So that a file which is not the program's own is reported before the work."""
     study = load_study(planned / "study.toml", planned / "later" / "orbiter")

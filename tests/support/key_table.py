@@ -106,7 +106,8 @@ _SHOWN = {
     ),
     "tests/inputs/test_unusual_numbers.py": "Material.apparent",
     "tests/heating/test_flight_fields.py": "TrajectorySpec.fields",
-    "tests/planning/test_bands.py": "Envelope.member EnvelopeMember.estimate EnvelopeMember.weight",
+    "tests/planning/test_bands.py": "Envelope.member StudyMember.estimate StudyMember.weight",
+    "tests/planning/test_dispersed_members.py": "Dispersion.member",
     "tests/planning/test_envelope.py": "Envelope.refinements Envelope.elevon_arm_m",
     "tests/planning/test_envelope_boundary.py": "EnvelopeBoundary.inside",
 }

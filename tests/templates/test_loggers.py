@@ -1299,3 +1299,45 @@ def test_a_line_that_is_none_of_its_list_is_named(
     with pytest.raises(InputError) as refusal:
         read_measured_csv(Path("t.txt"))
     assert said in str(refusal.value)
+
+
+def test_columns_of_one_name_are_told_by_position_and_name(capsys: pytest.CaptureFixture[str]) -> None:
+    warnings.simplefilter("always")
+    rows("time (s),TC (C),TC (C)", [f"{2 * i},{20 + i},{20 + 0.5 * i}" for i in range(20)])
+    command = ["new", "record", "--csv", "t.csv", "--layer", "copper 3 mm", "--lamp", "20kW/m2", "--out", "plate"]
+    assert main(["--json", *command, "--depth", "TC=surface", "--depth", "TC 3=back"]) == 0
+    told = "t.csv: columns 2 and 3 are named `TC`: `TC` and `TC 3` here, read as 2 sensors"
+    assert told in json.loads(capsys.readouterr().out)["warnings"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "reading"),
+    [
+        ("C", lambda i: f"{20 + 0.7 * i:.1f}"),
+        ("degF", lambda i: f"{68 + 1.26 * i:.2f}"),
+        ("K", lambda i: f"{293.15 + 0.7 * i:.0f}"),
+    ],
+    ids=["the same", "Fahrenheit", "fewer digits"],
+)
+def test_a_sensor_that_stands_in_a_file_twice_is_asked_for(unit: str, reading: Callable[[int], str]) -> None:
+    """Its readings would count as those of two."""
+    rows(
+        f"time (s),TC (C),TC ({unit}),back (C)",
+        [f"{2 * i},{20 + 0.7 * i:.1f},{reading(i)},{20 + i / 8}" for i in range(20)],
+    )
+    with pytest.raises(InputError, match=r"columns 2 and 3 are named `TC`, .* --temperature TC --temperature back$"):
+        read_measured_csv(Path("t.csv"))
+    read = read_measured_csv(Path("t.csv"), temperatures=("TC", "back"))
+    assert [c.name for c in read.of_kind(TEMPERATURE)] == ["TC", "back"]
+
+
+def test_probes_of_openfoam_are_sensors_at_their_places() -> None:
+    head = "# Probe 0 (0 0 0.001)\n# Probe 1 (0 0 0.004)\n#       Probe    0    1\n#        Time\n"
+    Path("T").write_text(head + "".join(f"   {0.5 * i:g}   {300 + i}   {300 + 0.5 * i:g}\n" for i in range(9)))
+    read = read_measured_csv(Path("T"))
+    assert (span_s(read), *range_K(read, 0), *range_K(read, 1)) == (4.0, 300.0, 308.0, 300.0, 304.0)
+    assert [c.name for c in read.of_kind(TEMPERATURE)] == ["Probe 0", "Probe 1"]
+    assert "0 at (0 0 0.001) m; 1 at (0 0 0.004) m" in read.layout
+    Path("U").write_text(head + "   0   (1 0 0)   (2 0 0)\n")
+    with pytest.raises(InputError, match=r"^U, row 5: .* is not a time and one number for each of 2 probes"):
+        read_measured_csv(Path("U"))

@@ -25,27 +25,32 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, tell
 from sim_heating.base.files import (
     DIGEST,
     check,
+    csv_columns,
     digest_matches,
     display_path,
     exclusive,
     json_text,
     raw_text,
     read_json,
+    read_toml,
     replace_files,
+    suggestion,
     text_digest,
     with_digest,
 )
+from sim_heating.base.files.paths import real_path
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.revise.flown_ratio import FlownRatio
 from sim_heating.closure.revise.revision_file import RevisedTurbulent, RevisionFile, StoredEvidence
-from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
+from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table, table_of_text
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, Posterior, on_axes, posterior
 from sim_heating.inputs.vehicle import Vehicle
+from sim_heating.inputs.vehicle_files import ControlPointFile
 
 FOLDER = "ratio_revisions"
 TURBULENT = "turbulent.csv"
@@ -89,21 +94,32 @@ def table_path(vehicle: Vehicle, point: str) -> Path:
 
     raises : InputError where it is an earlier revision, or shared with other points
     """
-    name = vehicle.control_point(point).declared.ratio_table
+    vehicle.control_point(point)
+    return vehicle.directory / _own_table(_declared(vehicle), point)
+
+
+def _declared(vehicle: Vehicle) -> dict[str, ControlPointFile]:
+    return {name: p.declared for name, p in vehicle.control_points.items()}
+
+
+def _own_table(declared: Mapping[str, ControlPointFile], point: str) -> str:
+    """Name of the table in force of a control point, which no other one has.
+
+    raises : InputError where it is an earlier revision, or shared with other points
+    """
+    name = declared[point].ratio_table
     if Path(name).parts[0] == FOLDER:
         raise InputError(f"{point}: its `ratio_table` is {name}, an earlier revision; name the one in force first")
-    sharing = _sharing(vehicle, point, name)
+    sharing = _sharing(declared, point, name)
     if sharing:
         raise InputError(f"{name}: is the table of {', '.join(sharing)} too; give {point} its own copy first")
-    return vehicle.directory / name
+    return name
 
 
-def _sharing(vehicle: Vehicle, point: str, name: str) -> list[str]:
+def _sharing(declared: Mapping[str, ControlPointFile], point: str, name: str) -> list[str]:
     """Other points with the same table, laminar or turbulent."""
     return [
-        p.name
-        for p in vehicle.control_points.values()
-        if name in (p.declared.ratio_table, p.declared.ratio_table_turbulent) and p.name != point
+        other for other, p in declared.items() if name in (p.ratio_table, p.ratio_table_turbulent) and other != point
     ]
 
 
@@ -116,23 +132,32 @@ def read_history(vehicle: Vehicle, point: str) -> TableHistory:
     path = table_path(vehicle, point)
     raw = raw_text(path)
     table = read_ratio_table(path)
-    number = table.header.get("revision", "")
-    if re.fullmatch("[0-9]{1,9}", number) is None:
-        raise InputError(
-            f"{display_path(path)}, header `revision`: {abbreviated(number)} is not a whole number; number the table"
-        )
+    number = _revision_number(path, table.header)
     revisions: list[RevisionFile] = []
     tables = [path]
-    text, at = raw, int(number)
+    text, at = raw, number
     while (file := revision_path(vehicle.directory, point, at, "json")).is_file():
         revision = _read_revision(file, point, at)
         parent = revision_path(vehicle.directory, point, revision.parent, "csv")
         text, at = _parent_text(tables[0], text, parent, file, revision), revision.parent
         tables.insert(0, parent)
         revisions.insert(0, revision)
-    _refuse_half_restored(vehicle.directory, point, int(number))
-    history = TableHistory(path, raw, table, int(number), read_ratio_table(tables[0]), tuple(revisions))
+    _refuse_half_restored(vehicle.directory, point, number)
+    history = TableHistory(path, raw, table, number, read_ratio_table(tables[0]), tuple(revisions))
     return _with_measurements(vehicle.directory, history, tables[1:], [r.evidence for r in revisions])
+
+
+def _revision_number(path: Path, header: Mapping[str, str]) -> int:
+    """The revision that the header of a table states.
+
+    raises : InputError where it is no whole number
+    """
+    number = header.get("revision", "")
+    if re.fullmatch("[0-9]{1,9}", number) is None:
+        raise InputError(
+            f"{display_path(path)}, header `revision`: {abbreviated(number)} is not a whole number; number the table"
+        )
+    return int(number)
 
 
 def read_turbulent_history(vehicle: Vehicle, history: TableHistory, point: str) -> TableHistory | str | None:
@@ -145,7 +170,7 @@ def read_turbulent_history(vehicle: Vehicle, history: TableHistory, point: str) 
     name = vehicle.control_point(point).declared.ratio_table_turbulent
     if name is None:
         return None
-    if sharing := _sharing(vehicle, point, name):
+    if sharing := _sharing(_declared(vehicle), point, name):
         return f"{name} is the table of {', '.join(sharing)} too; give {point} its own copy"
     path = vehicle.directory / name
     raw, table = raw_text(path), read_ratio_table(path)
@@ -386,35 +411,72 @@ def _short_axes(table: RatioTable) -> dict[str, str]:
     return {name: "g" for name, axis in axes if all(float(f"{v:g}") == v for v in axis)}
 
 
-def revert(vehicle: Vehicle, point: str) -> tuple[int, int]:
+def revert(directory: Path, point: str) -> tuple[int, int]:
     """Restore the parent of the newest revision, byte for byte, and remove the revision's files.
 
-    returns : numbers of the revision undone and of the one in force
-    raises  : InputError where there is no revision from flight data, or the control point's file was changed since
+    directory : of the vehicle, whose tables need not be possible: a revision that made one impossible is undone too,
+                and it is told what was wrong with it
+    returns   : numbers of the revision undone and of the one in force
+    raises    : InputError where there is no revision from flight data, or a file of it was changed since
     """
-    with revising(vehicle.directory):
-        history = read_history(vehicle, point)
-        if not history.revisions:
-            raise InputError(
-                f"{display_path(history.path)}: revision {history.revision} was not made from flight data; kept"
-            )
-        undone = history.revisions[-1]
+    with revising(directory):
+        declared = _declared_points(directory, point)
+        path = directory / _own_table(declared, point)
+        raw = raw_text(path)
+        number = _revision_number(path, csv_columns(path, raw, ("ratio",)).header)
+        file = revision_path(directory, point, number, "json")
+        _refuse_half_restored(directory, point, number)
+        if not file.is_file():
+            raise InputError(f"{display_path(path)}: revision {number} was not made from flight data; kept")
+        undone = _read_revision(file, point, number)
         kept, point_kept = (revision_path(Path(), point, undone.parent, kind) for kind in ("csv", "toml"))
         removed = [revision_path(Path(), point, undone.revision, kind) for kind in ("json", "png")]
-        restored = {history.path.relative_to(vehicle.directory).as_posix(): raw_text(vehicle.directory / kept)}
+        restored = {_below(directory, path): _parent_text(path, raw, directory / kept, file, undone)}
+        problems = _table_problems(path, raw)
+        turbulent = declared[point].ratio_table_turbulent
         if undone.turbulent is not None:
-            # Read as a history, so that a table changed since is refused as the laminar one is.
-            turbulent = read_turbulent_history(vehicle, history, point)
-            assert isinstance(turbulent, TableHistory)
+            if turbulent is None:
+                raise InputError(
+                    f"{display_path(point_path(directory, point))}: has no `ratio_table_turbulent`, which revision "
+                    f"{number} revised; name {undone.turbulent.table} again"
+                )
+            path = directory / turbulent
+            raw = raw_text(path)
             removed.append(revision_path(Path(), point, undone.parent, TURBULENT))
-            restored[turbulent.path.relative_to(vehicle.directory).as_posix()] = raw_text(
-                vehicle.directory / removed[-1]
-            )
+            restored[turbulent] = _parent_text(path, raw, directory / removed[-1], file, undone.turbulent)
+            problems += _table_problems(path, raw)
         if undone.point_hash is not None:
-            file = point_path(vehicle.directory, point)
-            restored[point_path(Path(), point).as_posix()] = _point_before(file, vehicle.directory / point_kept, undone)
-        replace_files(vehicle.directory, restored, [p.as_posix() for p in (kept, point_kept, *removed)])
+            of_point = point_path(directory, point)
+            restored[_below(directory, of_point)] = _point_before(of_point, directory / point_kept, undone)
+        replace_files(directory, restored, [p.as_posix() for p in (kept, point_kept, *removed)])
+    tell(f"{line}; revision {undone.revision}, which is undone, had it" for line in problems)
     return undone.revision, undone.parent
+
+
+def _below(directory: Path, path: Path) -> str:
+    return path.relative_to(directory).as_posix()
+
+
+def _declared_points(directory: Path, point: str) -> dict[str, ControlPointFile]:
+    """The files of all control points of a vehicle by name.
+
+    raises : InputError with the most similar name where there is none of this one
+    """
+    files = {p.stem: p for p in sorted(directory.glob("control_points/*.toml"))}
+    if point not in files:
+        raise InputError(
+            f"vehicle {real_path(directory).name}: there is no control point `{point}`{suggestion(point, files)}"
+        )
+    return {name: read_toml(path, ControlPointFile) for name, path in files.items()}
+
+
+def _table_problems(path: Path, text: str) -> list[str]:
+    """Why a table that a revision made cannot be; none where it can."""
+    try:
+        table_of_text(path, text)
+    except InputError as error:
+        return list(error.problems)
+    return []
 
 
 def _point_before(file: Path, kept: Path, undone: RevisionFile) -> str:

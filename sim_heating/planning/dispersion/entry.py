@@ -15,12 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import repeated_name
 from sim_heating.base.kernels.block import LANES
 from sim_heating.march.mesh_choice import NODE_COUNTS, mesh_of_nodes
+from sim_heating.planning.bands import DECLARED, Member
+from sim_heating.planning.dispersion.drawn_members import DrawnMember, drawn, heaviest
 from sim_heating.planning.dispersion.flight import (
     EntrySampler,
     SampledFlights,
@@ -76,6 +78,7 @@ class DispersedEntry:
         self.labels = input_labels(self.inputs)
         self.points = study.points
         self.effects = [study.base.effects(p.point.name) for p in self.points]
+        self.members: Sequence[Member] = study.members("dispersion") or DECLARED
 
     def __getstate__(self) -> dict[str, Any]:
         """The study, and the results that take long to compute if they are there: another process then has them."""
@@ -135,32 +138,70 @@ class DispersedEntry:
     @property
     def dimensions(self) -> int:
         """Number of independent normal numbers of a flight."""
-        return self.mode_columns[-1].stop
+        return self.member_columns.stop
+
+    @cached_property
+    def member_columns(self) -> slice:
+        """Columns of a row for the member of a flight, if there are some: which one it is, and what that leaves open;
+        behind those of the ratio tables."""
+        first = self.mode_columns[-1].stop
+        count = 1 + max(d.axes for d in self.drawn_members) if self.has_members else 0
+        return slice(first, first + count)
+
+    @property
+    def has_members(self) -> bool:
+        """Whether the study names estimates."""
+        return bool(self.spec.member)
+
+    @cached_property
+    def drawn_members(self) -> list[DrawnMember]:
+        """The members at the control points."""
+        models = [
+            model_without_sensors(self.study.vehicle, p, e) for p, e in zip(self.points, self.effects, strict=True)
+        ]
+        return [DrawnMember(models, m) for m in self.members]
+
+    @cached_property
+    def heaviest(self) -> int:
+        """Number of the member with the greatest weight, by which the flight is planned."""
+        return heaviest(self.members)
+
+    def members_of(self, z: FloatArray) -> IntArray:
+        """(flight,) number of the member of each flight, from (flight, dimension) standard normal numbers."""
+        if not self.has_members:
+            return np.zeros(len(z), dtype=np.int64)
+        return drawn(self.members, z[:, self.member_columns.start])
 
     @cached_property
     def groups(self) -> list[tuple[str, list[int]]]:
-        """Label and columns of each group of a sensitivity index: every input, and the ratio tables together."""
+        """Label and columns of each group of a sensitivity index: every input, the ratio tables together, and the
+        members with what they leave open."""
         single = [(label, [k]) for k, label in enumerate(self.labels)]
-        tables = list(range(len(self.inputs), self.dimensions))
-        return [*single, *([("ratio tables", tables)] if tables else [])]
+        tables = list(range(len(self.inputs), self.mode_columns[-1].stop))
+        members = list(range(self.member_columns.start, self.member_columns.stop))
+        return [
+            *single,
+            *([("ratio tables", tables)] if tables else []),
+            *([("members", members)] if members else []),
+        ]
 
     @cached_property
     def group_descriptions(self) -> list[tuple[str, str]]:
         """Name of each group, and its size with the unit."""
         has_profiles = {i.name for i, label in zip(self.inputs, self.labels, strict=True) if label == f"{i.name}#1"}
         described = []
-        for i, label, entries in zip(self.inputs, self.labels, self.parameter_places, strict=True):
+        for i, label in zip(self.inputs, self.labels, strict=True):
             named = i.title or (f"profile {int(label.rpartition('#')[2]) + 1}" if i.name in has_profiles else "")
-            unit = self.lanes.models[entries[0].point].definition(i.name).unit if entries else "1"
+            points = [] if i.name in FLIGHT_INPUTS else self._points_of(i)
+            unit = self.lanes.models[points[0]].definition(i.name).unit if points else "1"
             described.append(i.model_copy(update={"title": named}).describe(unit))
-        return [*described, ("ratio tables", "their own sigma")][: len(self.groups)]
+        sizes = {"ratio tables": "their own sigma", "members": "by weight, and by their covariance"}
+        return [*described, *((label, sizes[label]) for label, _ in self.groups[len(described) :])]
 
     @cached_property
     def meshes(self) -> list[Mesh]:
         """For each point the coarsest mesh whose peaks along the planned flight are accurate to MESH_TOLERANCE_K."""
-        models = [
-            model_without_sensors(self.study.vehicle, p, e) for p, e in zip(self.points, self.effects, strict=True)
-        ]
+        models = self.drawn_members[self.heaviest].models
         chosen: dict[int, Mesh] = {}
         # Judged by the peaks of the planned flight and not by the pulse of `march.mesh_choice`: only peaks have to be
         # accurate here.
@@ -176,23 +217,49 @@ class DispersedEntry:
         return [chosen.get(p, mesh) for p, mesh in enumerate(coarse)]
 
     def _planned_peaks(self, meshes: Sequence[Mesh]) -> FloatArray:
-        peaks = self._lanes(meshes).march(self.planned, 0, [], [None] * len(self.points))
+        return self._peaks_of(self._lanes(self.heaviest, meshes))
+
+    def _peaks_of(self, lanes: LaneMarch) -> FloatArray:
+        """(quantity, point) peaks along the planned flight [K]."""
+        peaks = lanes.march(self.planned, 0, [], [None] * len(self.points))
         return np.array([peaks.surface_K[0], peaks.bondline_K[0]])
 
-    def _lanes(self, meshes: Sequence[Mesh]) -> LaneMarch:
-        return LaneMarch(
-            self.study.vehicle, self.points, self.effects, meshes, self.spec.thermal_step_s, self.study.declared.soak_s
-        )
+    def _lanes(self, member: int, meshes: Sequence[Mesh]) -> LaneMarch:
+        study, models = self.study, self.drawn_members[member].models
+        return LaneMarch(study.vehicle, self.points, models, meshes, self.spec.thermal_step_s, study.declared.soak_s)
 
     @cached_property
+    def lanes_of_members(self) -> list[LaneMarch]:
+        """The control points in lanes, as each member has them."""
+        return [self._lanes(k, self.meshes) for k in range(len(self.members))]
+
+    @property
     def lanes(self) -> LaneMarch:
-        """The control points in lanes."""
-        return self._lanes(self.meshes)
+        """The control points in lanes, as the heaviest member has them."""
+        return self.lanes_of_members[self.heaviest]
+
+    @cached_property
+    def planned_peaks(self) -> FloatArray:
+        """(member, quantity, point) peaks along the planned flight [K]."""
+        return np.array([self._peaks_of(lanes) for lanes in self.lanes_of_members])
 
     @cached_property
     def parameter_places(self) -> list[list[ParameterPlace]]:
-        """Parameters of the points that each input changes; none for an input that changes the flight."""
-        return [[] if i.name in FLIGHT_INPUTS else self._places_of(i) for i in self.inputs]
+        """Parameters of the points that each input changes, as the heaviest member has them; none for an input that
+        changes the flight, or in place of which the estimate stands."""
+        return self._parameter_places_of_members[self.heaviest]
+
+    @cached_property
+    def _parameter_places_of_members(self) -> list[list[list[ParameterPlace]]]:
+        return [
+            [
+                []
+                if i.name in FLIGHT_INPUTS
+                else [lanes.place_of(p, i.name) for p in self._points_of(i) if not member.replaces(p, i.name)]
+                for i in self.inputs
+            ]
+            for member, lanes in zip(self.drawn_members, self.lanes_of_members, strict=True)
+        ]
 
     # Flying ----------------------------------------------------------------------------------------------------------
 
@@ -219,6 +286,7 @@ class DispersedEntry:
             "scramble": np.full(len(z), float(batch.scramble)),
             "flight": np.arange(batch.start, batch.stop, dtype=float),
             **{f"input.{label}": deviation[:, k] for k, label in enumerate(self.labels)},
+            **({"member": self.members_of(z).astype(float)} if self.has_members else {}),
             "outcome": flown.outcome.astype(float),
             "end_s": flown.end_s,
             "untrimmed_s": flown.untrimmed_s,
@@ -247,14 +315,47 @@ class DispersedEntry:
         keep      : receives for each point surface and bondline (time, 2 LANES) [K] and the conditions (LANES, time,
                     condition); None for none
         """
-        changes = [(entry, deviation[:, k]) for k, entries in enumerate(self.parameter_places) for entry in entries]
-        tables = [
-            table_factors(m, z[:, c]) if m.shape[1] else None
-            for m, c in zip(self.modes, self.mode_columns, strict=True)
+        member = self.members_of(z)
+        parts = {
+            int(k): self._march_member(int(k), np.flatnonzero(member == k), flown, deviation, z, keep)
+            for k in np.unique(member)
+        }
+        order = np.argsort(np.concatenate([np.flatnonzero(member == k) for k in parts]))
+        return FlightPeaks(
+            *(np.concatenate([getattr(p, f.name) for p in parts.values()])[order] for f in fields(FlightPeaks))
+        )
+
+    def _march_member(
+        self,
+        number: int,
+        flights: IntArray,
+        flown: SampledFlights,
+        deviation: FloatArray,
+        z: FloatArray,
+        keep: list[tuple[FloatArray, FloatArray]] | None,
+    ) -> FlightPeaks:
+        """Peaks along those flights that have one member."""
+        member, lanes = self.drawn_members[number], self.lanes_of_members[number]
+        own = z[flights, self.member_columns][:, 1:]
+        changes = [
+            (entry, deviation[flights, k])
+            for k, entries in enumerate(self._parameter_places_of_members[number])
+            for entry in entries
         ]
+        changes += [
+            (entry, change)
+            for p in range(len(self.points))
+            for name, change in member.deviations(p, own).items()
+            for entry in lanes.places_of_estimated(p, name)
+        ]
+        tables = [
+            table_factors(m, z[flights, c]) if m.shape[1] and not member.replaces_table(p) else None
+            for p, (m, c) in enumerate(zip(self.modes, self.mode_columns, strict=True))
+        ]
+        of_member = flown.chosen(flights)
         # One flight a lane and one point a group: flights of a batch share their times, and tables and stacks differ by
         # lane.
-        parts = [self.lanes.march(flown, first, changes, tables, keep) for first in range(0, len(z), LANES)]
+        parts = [lanes.march(of_member, first, changes, tables, keep) for first in range(0, len(flights), LANES)]
         return FlightPeaks(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FlightPeaks)))
 
     def check(self) -> None:
@@ -289,8 +390,9 @@ class DispersedEntry:
             raise InputError(
                 f"`{i.name}` is not dispersed: the sigma of the ratio tables states their error; disperse `ratio.scale`"
             )
-        for entry in self._places_of(i):
-            model = self.lanes.models[entry.point]
+        for p in self._points_of(i):
+            self.lanes.place_of(p, i.name)  # it exists there
+        for model in (d.models[p] for d in self.drawn_members for p in self._points_of(i) if not d.replaces(p, i.name)):
             definition, value = model.definition(i.name), model.value(i.name)
             if not definition.lower <= value + low <= value + high <= definition.upper:
                 raise InputError(
@@ -298,11 +400,9 @@ class DispersedEntry:
                     f"{definition.upper:g} at {model.name}, by {LARGEST_SIGMAS:g} sigma; make it narrower, or uniform"
                 )
 
-    def _places_of(self, i: DispersedInput) -> list[ParameterPlace]:
+    def _points_of(self, i: DispersedInput) -> list[int]:
         return [
-            self.lanes.place_of(p, i.name)
-            for p, point in enumerate(self.points)
-            if i.control_points is None or point.point.name in i.control_points
+            p for p, point in enumerate(self.points) if i.control_points is None or point.point.name in i.control_points
         ]
 
     def _check_flight_input(self, i: DispersedInput, label: str, low: float, high: float) -> None:

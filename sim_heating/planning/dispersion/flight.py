@@ -178,6 +178,11 @@ class SampledFlights(NamedTuple):
     end_s: FloatArray
     untrimmed_s: FloatArray
 
+    def chosen(self, flights: IntArray) -> SampledFlights:
+        """Some of the flights, by their numbers."""
+        rows, counts, outcome, end_s, untrimmed_s = self
+        return SampledFlights(rows[flights], counts[flights], outcome[flights], end_s[flights], untrimmed_s[flights])
+
 
 class EntryNumbers(NamedTuple):
     """What differs between flights, one row a flight, as `fly_kernel` takes it.

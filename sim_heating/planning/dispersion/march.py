@@ -88,12 +88,12 @@ class LaneMarch:
     """Control points of a vehicle, each in LANES lanes.
 
     points  : with their limits
-    effects : one sequence a point, in addition to the effects that the vehicle declares
+    models  : of the points, without sensors
     meshes  : one a point
     step_s  : of the march, and between the kept frames of flights [s]
     soak_s  : after the end of each flight [s]
 
-    Attributes: `models` of the points; `host` and `constants`, by which conditions follow from frames; `soak`,
+    Attributes: `host` and `constants`, by which conditions follow from frames; `soak`,
     (3,) h_ref [kg/(m2 s)], p_surface [Pa] and surroundings [K] after the flight.
     """
 
@@ -101,13 +101,13 @@ class LaneMarch:
         self,
         vehicle: Vehicle,
         points: Sequence[LimitedPoint],
-        effects: Sequence[Sequence[EffectUse]],
+        models: Sequence[PointModel],
         meshes: Sequence[Mesh],
         step_s: float,
         soak_s: float,
     ) -> None:
         self.points, self.step_s, self.soak_s = tuple(points), step_s, soak_s
-        self.models = [model_without_sensors(vehicle, p, e) for p, e in zip(points, effects, strict=True)]
+        self.models = list(models)
         # Each lane has a copy of the ratio table, whose nodes are written before every march.
         lanes = [_with_own_table(m) for m in self.models for _ in range(LANES)]
         # Packed once for the whole study; every march restores the initial state and writes what is dispersed.
@@ -155,6 +155,17 @@ class LaneMarch:
                 names = [p.name for p in used.effect.parameters]
                 return ParameterPlace(point, "heating", EFFECT_PARAMETERS + k * EFFECT_WIDTH + names.index(parameter))
         raise InputError(f"{model.name}: `{name}` sets another parameter of the model; name that one")
+
+    def places_of_estimated(self, point: int, name: str) -> list[ParameterPlace]:
+        """Location of a dotted parameter of a point that an estimate has: that of the parameter of the model which its
+        effect sets; none for an effect on readings alone."""
+        for used in self.models[point].effects:
+            head = f"{EFFECT_PREFIX}{used.effect.name}."
+            own = [p.name for p in used.effect.parameters]
+            if used.effect.model_parameters and name.startswith(head):
+                stands_for = used.effect.model_parameters[own.index(name.removeprefix(head))]
+                return [] if used.effect.acts_on_readings else [self.place_of(point, stands_for)]
+        return [self.place_of(point, name)]
 
     def march(
         self,

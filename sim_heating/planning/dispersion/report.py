@@ -26,13 +26,19 @@ from sim_heating.planning.dispersion.results import (
     PeakStatistics,
     data_of,
     disperse,
+    members_of,
     merge,
     notes_of,
 )
+from sim_heating.planning.members import member_table
 from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart, program_digest
 from sim_heating.planning.study import Study
 
 CSV = "dispersion.csv"
+MEMBERS = (
+    "Each flight has one of these estimates, drawn by its weight, and its parameters by their covariance. At other "
+    "control points an estimate's flights have what the vehicle declares"
+)
 PEAKS, FIRST_ORDER, DRIVERS = (f"dispersion_{picture}.png" for picture in ("peaks", "first_order", "drivers"))
 WITHIN_TWO_SIGMA = 0.977
 """Probability of a normal deviation below two standard deviations [-]."""
@@ -116,7 +122,9 @@ def quantile_table(result: DispersionResult) -> Table:
 
 
 def _tables(result: DispersionResult) -> list[Table]:
-    tables = [_peak_table(result), _first_order_table(result)]
+    members = members_of(result)
+    tables = [member_table(MEMBERS, members)] if members else []
+    tables += [_peak_table(result), _first_order_table(result)]
     driven = [(f"{a.point} {a.location}", _drivers(result, a)) for a in result.peaks if a.indices is not None]
     if driven:
         title = (

@@ -6,7 +6,9 @@ First order means the exact sensitivities along the mean flight, one standard de
 
 s_k [K] is the sensitivity of a peak times the standard deviation of input k. For thermal parameters and effects it is
 exact (march/linearised.py), at the time of the peak; for inputs that change the flight, and for modes of ratio tables,
-it is a central difference of flights DIFFERENCE standard deviations to either side.
+it is a central difference of flights DIFFERENCE standard deviations to either side. With members of a set of estimates
+T_mean is their mean by weight, their scatter along the planned flight is one of the s_k, and the others are those of
+the heaviest member.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from sim_heating.base.kernels.block import LANES, TIME
 from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.progress import Progress
 from sim_heating.march.linearised import LinearMarch, Track
+from sim_heating.planning.dispersion.drawn_members import shares
 from sim_heating.planning.dispersion.entry import (
     AXES,
     BATCH,
@@ -53,6 +56,7 @@ from sim_heating.planning.dispersion.statistics import (
     probability,
     quantiles,
 )
+from sim_heating.planning.members import member_data
 from sim_heating.planning.study import Study
 
 Columns = dict[str, FloatArray]
@@ -196,7 +200,13 @@ def first_order(entry: DispersedEntry, columns: Columns) -> FirstOrder:
     # Sensitivities of the march replace the differences wherever an input changes parameters of a point alone.
     for quantity, point, column, exact in exact_slopes(entry):
         slope[quantity, point, column] = exact * scale[column]
-    return FirstOrder(T[..., 0], slope)
+    if not entry.has_members:
+        return FirstOrder(T[..., 0], slope)
+    # Which member is true does not change by steps: it counts by the scatter of the planned flight between them.
+    share, planned = shares(entry.members), entry.planned_peaks
+    mean = np.tensordot(share, planned, 1)
+    slope[..., entry.member_columns.start] = np.sqrt(np.tensordot(share, (planned - mean) ** 2, 1))
+    return FirstOrder(T[..., 0] + mean - planned[entry.heaviest], slope)
 
 
 def exact_slopes(entry: DispersedEntry) -> list[tuple[int, int, int, float]]:
@@ -464,6 +474,7 @@ def data_of(result: DispersionResult) -> dict[str, Any]:
         "confidence": spec.confidence,
         "dimensions": entry.dimensions,
         "inputs": dict(zip(names, map(", ".join, entry.group_descriptions), strict=True)),
+        "members": members_of(result),
         "bounds": BOUNDS[spec.sampling],
         "steps": {"flight_s": spec.step_s, "thermal_s": spec.thermal_step_s},
         "nodes": {p.point.name: mesh.nodes for p, mesh in zip(entry.points, entry.meshes, strict=True)},
@@ -479,6 +490,13 @@ def data_of(result: DispersionResult) -> dict[str, Any]:
         "peaks": [_peak_data(a, names) for a in result.peaks],
         "six_degrees_of_freedom": _check_data(result),
     }
+
+
+def members_of(result: DispersionResult) -> list[dict[str, Any]]:
+    """Members of the set of estimates, with their weights and the number of flights that drew each; none without."""
+    entry = result.entry
+    stated = member_data(entry.spec.member, entry.members)
+    return [m | {"flights": int(np.count_nonzero(result.columns["member"] == k))} for k, m in enumerate(stated)]
 
 
 def _peak_data(peak: PeakStatistics, names: Sequence[str]) -> dict[str, Any]:

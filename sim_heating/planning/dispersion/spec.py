@@ -8,6 +8,9 @@ sigma = 0.03                        # normal about the declared value; or low an
 over = [[0.0, 0.2], [80e3, 1.0]]    # for `air.*`: factor on the deviation over altitude [m]
 title = "the whole column"          # distinguishes it from others of its name, in tables and pictures
 control_points = ["NOSECAP"]        # for a parameter of points: only these; one deviation for all of them
+[[dispersion.member]]               # an estimate of flights, with a weight; a flight has one, drawn by the weights
+estimate = "../out/fit"             # planning/members.py
+weight = 3.0
 
 Every input is a deviation from the base entry, independent of the others. A ratio table that has a sigma is uncertain
 by itself, with correlated nodes (planning/ratio_table_modes.py).
@@ -22,6 +25,7 @@ from pydantic import Field, field_validator, model_validator
 
 from sim_heating.base.files import Declared, suggestion
 from sim_heating.base.parameters import EFFECT_PREFIX, MODEL, layer_parameter
+from sim_heating.planning.members import StudyMember
 
 FLIGHT_INPUTS = {
     "entry.altitude_m": ("altitude at entry", "m"),
@@ -129,6 +133,8 @@ class Dispersion(Declared):
     step_s        : step of the flight [s]
     thermal_step_s : step of the thermal march [s], a multiple of step_s
     spot_checks   : flights that are also flown in six degrees of freedom (JSBSim)
+    member        : estimates from flights, one of which each flight has by the weights, in place of what the vehicle
+                    declares of their control points
     flights : number of dispersed flights
     seed : of the random numbers
     """
@@ -145,6 +151,7 @@ class Dispersion(Declared):
     thermal_step_s: float = Field(default=4.0, gt=0.0, le=60.0)
     spot_checks: int = Field(default=0, ge=0, le=100)
     input: list[DispersedInput] = Field(default=[], max_length=256)
+    member: list[StudyMember] = Field(default=[], max_length=64)
 
     @field_validator("quantiles")
     @classmethod

@@ -37,6 +37,8 @@ TRAJECTORY = {"source": "entry-3dof", "rate_hz": 4.0}
 """Source of every case, and its steps a second."""
 CROSS_RANGE_WITHIN_KM = 2.0
 """Largest error of a required cross-range [km] at the end of what can be reached."""
+BASE_ENTRY = "base entry"
+"""Name of the entry that a study changes, wherever a figure of it stands beside those of others."""
 STATION_RAMP = 0.25
 """Part of a station's half-width over which its offset comes and goes."""
 
@@ -76,7 +78,7 @@ class Case:
 
     def describe(self) -> str:
         """The changes in one line, as `alpha_offset_deg -4, mass_kg 84000`."""
-        return ", ".join(f"{k} {v:g}" for k, v in self.changes().items()) or "base entry"
+        return ", ".join(f"{k} {v:g}" for k, v in self.changes().items()) or BASE_ENTRY
 
 
 OPEN_RANGES = {

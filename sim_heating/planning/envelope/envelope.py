@@ -72,7 +72,7 @@ def margin_evaluator(study: Study, forecast: ForecastEvidence | None = None) -> 
         for point, by_manoeuvre in (forecast or {}).items()
         if (root := covariance_root(study.vehicle, point)) is not None
     }
-    soak_s, members = study.declared.soak_s, study.members
+    soak_s, members = study.declared.soak_s, study.members("envelope")
     return MarginEvaluator(base_entry(study), study.points, study.base, soak_s, informed, members=members)
 
 

@@ -38,6 +38,7 @@ from sim_heating.planning.envelope.next_flight import (
     rank_manoeuvres,
 )
 from sim_heating.planning.envelope.spec import Envelope, EnvelopeBoundary, EnvelopeMap
+from sim_heating.planning.members import member_data, member_table
 from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart
 from sim_heating.planning.study import Study, load_study
 
@@ -48,6 +49,10 @@ NOT_TESTABLE = (
 Draw = Callable[[Path, str], None]
 """Draws a picture: (path, title)."""
 RANKING = "next_flight"
+MEMBERS = (
+    "Margins are by these estimates: a temperature is their mean by weight, and its band is that of their mixture. "
+    "At other control points an estimate's weight goes to what the vehicle declares"
+)
 
 
 @dataclass
@@ -92,10 +97,14 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
     envelope, output = _envelope_of(study), _PartOutput(study, folder)
     sigmas, revision, band = envelope.sigmas, files.revision_label(study), _drawn_band(envelope)
     flights = StudyFlights(study, engine, progress, _forecast_evidence(_forecasts(study)))
-    data: dict[str, Any] = {"sigmas": sigmas, "revision": revision, "members": files.member_data(study)}
+    data: dict[str, Any] = {
+        "sigmas": sigmas,
+        "revision": revision,
+        "members": member_data(envelope.member, study.members("envelope")),
+    }
     data |= {"maps": {}, "boundaries": {}}
     if data["members"]:
-        output.tables.append(files.member_table(study))
+        output.tables.append(member_table(MEMBERS, data["members"]))
     maps = [fly_map(declared, flights) for declared in envelope.map]
     boundaries = [fly_boundary(declared, envelope, flights) for declared in envelope.boundary]
     flights.require_one()

@@ -37,7 +37,8 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from sim_heating.base.files import Declared, LocatedError, repeated_name, suggestion
-from sim_heating.planning.envelope.case import AXES, OPEN_RANGES, Case
+from sim_heating.planning.envelope.case import AXES, BASE_ENTRY, OPEN_RANGES, Case
+from sim_heating.planning.members import StudyMember
 from sim_heating.trajectory.spec import Manoeuvre
 
 Values = list[float]
@@ -105,6 +106,11 @@ class EnvelopeMap(_Result):
         """The case at a place, given by the axes' values."""
         return Case(**{**self.fixed, **position}, one_sided=self.one_sided)
 
+    def entry(self, position: dict[str, float]) -> str:
+        """Name of the entry at a place: all values of its axes and of `fixed`, and whether it is the base entry."""
+        values = ", ".join(f"{k} {v:g}" for k, v in {**position, **self.fixed}.items())
+        return values if self.case(position).changes() else f"{BASE_ENTRY} ({values})"
+
 
 class EnvelopeBoundary(_Result):
     """The allowed interval of the axis `across` at each value `at` of the axis `along`, for each value `of` a `family`.
@@ -157,18 +163,6 @@ class EnvelopeBoundary(_Result):
         return Case(**{**self.fixed, **of_family, self.along: position, self.across: value}, one_sided=self.one_sided)
 
 
-class EnvelopeMember(Declared):
-    """An [[envelope.member]]: an estimate that the evidence cannot tell from the others, with its weight. The page
-    of the study has a table of all members, and study.json the list `envelope.members`.
-
-    estimate : an estimate.json, or a directory with one, relative to the study
-    weight   : of the members together, that this one is true
-    """
-
-    estimate: str
-    weight: float = Field(default=1.0, gt=0.0, le=1e6)
-
-
 class Envelope(Declared):
     """The [envelope] table.
 
@@ -190,7 +184,7 @@ class Envelope(Declared):
     bodyflap_above_mach: float = Field(default=8.0, gt=0.0)
     elevon_arm_m: float = Field(default=6.0, gt=0.0)
     refinements: int = Field(default=1, ge=0, le=5)
-    member: list[EnvelopeMember] = Field(default=[])
+    member: list[StudyMember] = Field(default=[])
     map: list[EnvelopeMap] = Field(default=[])
     boundary: list[EnvelopeBoundary] = Field(default=[])
 

@@ -61,46 +61,6 @@ def csv_header(study: Study, title: str) -> dict[str, str]:
     }
 
 
-# Members -------------------------------------------------------------------------------------------------------------
-
-
-def member_data(study: Study) -> list[dict[str, Any]]:
-    """Estimates that the margins are by, for study.json: file, control point, weight and share; none without members.
-
-    share : weight over the sum of all weights [-], the probability that the estimate is true
-    """
-    envelope = study.declared.envelope
-    stated = [] if envelope is None else envelope.member
-    total = sum(s.weight for s in stated)
-    return [
-        {
-            "estimate": s.estimate,
-            "control_point": None if member.estimate is None else member.estimate.control_point,
-            "weight": s.weight,
-            "share": s.weight / total,
-        }
-        for s, member in zip(stated, study.members if stated else (), strict=True)
-    ]
-
-
-def member_table(study: Study) -> Table:
-    """The estimates of `member_data` for the page."""
-    columns = [
-        Column("estimate"),
-        Column("control point", is_text=True),
-        Column("weight", format="g"),
-        Column("share", format=".3g", unit="%"),
-    ]
-    rows = [
-        (m["estimate"], m["control_point"] or "several", m["weight"], 100.0 * m["share"]) for m in member_data(study)
-    ]
-    title = (
-        "Margins are by these estimates: a temperature is their mean by weight, and its band is that of their mixture. "
-        "At other control points an estimate's weight goes to what the vehicle declares"
-    )
-    return Table(title, columns, rows)
-
-
 # Maps ----------------------------------------------------------------------------------------------------------------
 
 
@@ -133,7 +93,11 @@ def map_data(flown: FlownMap, study: Study) -> dict[str, Any]:
     return {
         "axes": flown.declared.axes,
         "flights": [
-            {"at": position, **flight_data(flight, bands=has_bands(study))}
+            {
+                "entry": flown.declared.entry(position),
+                "at": position,
+                **flight_data(flight, bands=has_bands(study)),
+            }
             for position, flight in zip(flown.positions, flown.flights, strict=True)
         ],
     }
@@ -160,20 +124,20 @@ def flight_data(flight: EvaluatedCase, *, bands: bool) -> dict[str, Any]:
 
 
 def map_table(flown: FlownMap, study: Study) -> Table:
-    """The margin that matters most at each place of a map (`EvaluatedCase.least`), at the 95 % band too where it has
+    """The margin that matters most of each entry of a map (`EvaluatedCase.least`), at the 95 % band too where it has
     one."""
     rows, bands = list[tuple[str, ...]](), has_bands(study)
     for position, flight in zip(flown.positions, flown.flights, strict=True):
-        at = tuple(f"{v:g}" for v in position.values())
+        entry = flown.declared.entry(position)
         least = flight.least
         if flight.error is not None or least is None:
-            rows.append((*at, "", flight.error or "no limit", "", *([""] if bands else [])))
+            rows.append((entry, "", flight.error or "no limit", "", *([""] if bands else [])))
             continue
         name, m = least
         at_band = [f"{m.at_band:.1f} {m.unit}"] if bands else []
-        rows.append((*at, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f} {m.unit}", *at_band))
+        rows.append((entry, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f} {m.unit}", *at_band))
     title = flown.declared.heading
-    heads: list[Column | str] = [*flown.declared.axes, "least margin", Column("limit", is_text=True), "sigma"]
+    heads: list[Column | str] = ["entry", "least margin", Column("limit", is_text=True), "sigma"]
     heads += ["margin at the 95 % band"] if bands else []
     return Table(f"Map: {title}", heads, rows)
 

@@ -14,6 +14,7 @@ from sim_heating.base.files import display_path, read_text
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import converted, known_unit
 from sim_heating.heating.recorded.cells.block import Block
+from sim_heating.heating.recorded.cells.foam import foam_block, is_foam
 from sim_heating.heating.recorded.cells.json_rows import is_json, json_block
 from sim_heating.heating.recorded.cells.lists import list_block
 from sim_heating.heating.recorded.cells.tecplot import is_tecplot, tecplot_block
@@ -143,6 +144,8 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
         return json_block(path, text)
     if is_tecplot(text):
         return tecplot_block(path, text)
+    if is_foam(text):
+        return foam_block(path, text)
     if (block := list_block(path, text)) is not None:
         return block
     text = text.replace("\r\n", "\n").replace("\r", "\n")

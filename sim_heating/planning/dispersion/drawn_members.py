@@ -1,0 +1,116 @@
+"""Members of a set of estimates in dispersed flights: which of them a flight has, and what it leaves open.
+
+A flight has one member, drawn by the weights. The parameters of its estimate vary by their covariance, errors that it
+leaves open for another flight among them (planning/considered.py): p = p_fit + R z, R R' = cov p, z independent
+standard normal numbers. They stand in place of the study's own inputs of the same parameters, and an estimated ratio in
+place of the error of the ratio table, as in the bands of a prediction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import ndtr
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.march.point import PointModel
+from sim_heating.planning.bands import (
+    Member,
+    estimated_model,
+    members_of_point,
+    open_covariance,
+    open_parameters,
+    principal_steps,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnMember:
+    """One member at the control points of a study.
+
+    declared : models of the control points as the vehicle declares them
+    member   : the estimate; a point that it is not of stays as declared
+    """
+
+    declared: Sequence[PointModel]
+    member: Member
+
+    @cached_property
+    def of_points(self) -> list[Member]:
+        """The member at each control point."""
+        return [members_of_point([self.member], m.name)[0] for m in self.declared]
+
+    @cached_property
+    def models(self) -> list[PointModel]:
+        """The control points with the values of the estimate."""
+        return [
+            model if m.estimate is None else estimated_model(model, m.estimate)
+            for model, m in zip(self.declared, self.of_points, strict=True)
+        ]
+
+    @cached_property
+    def labels(self) -> list[dict[str, str]]:
+        """For each control point, name in the model -> label in the estimate of what that leaves open."""
+        return [
+            {} if m.estimate is None else {n: label for n, (label, _) in open_parameters(model, m).items()}
+            for model, m in zip(self.declared, self.of_points, strict=True)
+        ]
+
+    @cached_property
+    def _rows(self) -> dict[str, FloatArray]:
+        """Label -> (axis,) its change for a unit of each independent number; points share the labels of all."""
+        labels = list(dict.fromkeys(label for of_point in self.labels for label in of_point.values()))
+        if not labels:
+            return {}
+        steps = principal_steps(open_covariance(self.member, labels))
+        return dict(zip(labels, steps[:, np.any(steps != 0.0, axis=0)], strict=True))
+
+    @property
+    def axes(self) -> int:
+        """Number of independent normal numbers that its estimate takes."""
+        return max((len(row) for row in self._rows.values()), default=0)
+
+    def replaces(self, point: int, name: str) -> bool:
+        """Whether the estimate stands in place of a study's own input of a parameter at a control point."""
+        return any(self.models[point].same_parameter(name, own) for own in self.labels[point])
+
+    def replaces_table(self, point: int) -> bool:
+        """Whether the estimate stands in place of the error of a control point's ratio table."""
+        return any(own.startswith("ratio.") for own in self.labels[point])
+
+    def deviations(self, point: int, z: FloatArray) -> Mapping[str, FloatArray]:
+        """Name in the model -> (flight,) deviation from the estimate within the bounds, each in its unit.
+
+        z : (flight, number) standard normal numbers, `axes` of them or more
+        """
+        model, drawn = self.models[point], dict[str, FloatArray]()
+        for name, label in self.labels[point].items():
+            value, definition = model.value(name), model.definition(name)
+            changed = np.clip(value + z[:, : self.axes] @ self._rows[label], definition.lower, definition.upper)
+            drawn[name] = changed - value
+        return drawn
+
+
+def heaviest(members: Sequence[Member]) -> int:
+    """Number of the member with the greatest weight."""
+    return int(np.argmax([m.weight for m in members]))
+
+
+def shares(members: Sequence[Member]) -> FloatArray:
+    """(member,) weights over their sum [-]."""
+    weights = np.array([m.weight for m in members])
+    return np.asarray(weights / np.sum(weights))
+
+
+def drawn(members: Sequence[Member], z: FloatArray) -> IntArray:
+    """(flight,) number of the member of each flight, by its share of (flight,) standard normal numbers; 0 has the
+    heaviest."""
+    share, first = shares(members), heaviest(members)
+    order = np.array([first, *(k for k in range(len(members)) if k != first)])
+    # The heaviest lies about the middle of the distribution, where the planned flight is.
+    u = (ndtr(z) - 0.5 + 0.5 * share[first]) % 1.0
+    place = np.searchsorted(np.cumsum(share[order])[:-1], u, side="right")
+    return np.asarray(order[place])
