@@ -126,8 +126,9 @@ def test_innovations_of_an_error_in_arcs_scatter_more_and_speak_for_no_cause():
 
 def test_errors_that_jump_have_the_covariance_of_those_that_change_slowly():
     fit = FitProblem([load_record(RECORDS / "practice" / "p06")], [], REFERENCE).record_fits[0]
-    error = model_error(fit, np.zeros(0), 1.0, 100.0)
-    slow, jumping = (draw(error, 100.0, 20_000, np.random.default_rng(1)) for draw in (slow_errors, jumping_errors))
+    alike = Correlation(100.0)
+    error = model_error(fit, np.zeros(0), 1.0, alike)
+    slow, jumping = (draw(error, alike, 20_000, np.random.default_rng(1)) for draw in (slow_errors, jumping_errors))
     np.testing.assert_allclose(np.cov(jumping), np.cov(slow), atol=0.05)  # of 20,000 pairs known to 0.007
     steps = np.diff(jumping, axis=0) / np.std(np.diff(jumping, axis=0))
     assert np.mean(steps**4) > 10.0  # 3 of normal ones
@@ -247,9 +248,13 @@ def test_a_jump_as_large_as_the_error_that_is_left_is_no_cause():
     jumped = replace(jumped, declared=record.declared.model_copy(update={"heating": heating}))
     search = searched_among(jumped, ("transition",))
 
+    def with_size(h, left):
+        alike = (h.last.record_fit.model_error.correlation,)
+        size = ErrorSize(np.array([left]), alike, np.ones(1), np.zeros((1, 1, 1)), np.zeros((1, 1, 1)))
+        return replace(h, trials=(replace(h.last, size=size),))
+
     def result(left):
-        size = ErrorSize(np.array([left]), np.array([200.0]), np.ones(1), np.zeros((1, 1, 1)), np.zeros((1, 1, 1)))
-        none, cause = (replace(h, trials=(replace(h.last, size=size),)) for h in (search.none, search.hypotheses[0]))
+        none, cause = (with_size(h, left) for h in (search.none, search.hypotheses[0]))
         return replace(search, none=none, hypotheses=tuple(scored(none, [cause])))
 
     surely, perhaps = result(0.003), result(0.3)
