@@ -371,7 +371,10 @@ class ErrorSize:
 
     @property
     def posterior_of_heating(self) -> FloatArray:
-        """(correlation, size) probability [-] of each, whatever the flight's: docs/theory/model_error.md, (5)."""
+        """(correlation, size) probability [-] of each, whatever the flight's error.
+
+        Source: docs/theory/model_error.md, equation 5.
+        """
         return np.asarray(self.posterior.sum(axis=0))
 
     @property
