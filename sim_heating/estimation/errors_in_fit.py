@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.estimation.inference.error_likelihood import linear_error, model_error
+from sim_heating.estimation.inference.error_likelihood import error_size, model_error
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, StatedError
 from sim_heating.estimation.problem import FitProblem
 
@@ -51,10 +51,10 @@ def _size(noisy: FitProblem, values: FloatArray, stated: Sequence[StatedError], 
     information = np.array([p.sigma**-2.0 for p in noisy.parameters])
     distance = np.array([p.value for p in noisy.parameters]) - values
     found = [
-        linear_error(
+        error_size(
             r, [x for x in samples if x.record_fit is r], (information[r.index], distance[r.index]),
-            np.ones(len(r.index), dtype=bool),
-        ).size(prior)
+            np.ones(len(r.index), dtype=bool), prior,
+        )
         for r, s in zip(noisy.record_fits, stated, strict=True)
         if s.heating == prior
     ]  # fmt: skip

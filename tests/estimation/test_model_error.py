@@ -11,8 +11,8 @@ from scipy.stats import multivariate_normal
 
 from sim_heating.closure.prior.model_error import flight_error
 from sim_heating.estimation.inference.error_likelihood import (
+    error_size,
     innovations,
-    linear_error,
     model_error,
     parameter_root_K,
     scored_readings,
@@ -184,8 +184,8 @@ def test_the_response_is_that_of_a_march_with_other_heating(problem):
 def test_the_size_of_an_error_is_found_from_readings_made_with_it(problem, smooth):
     part, rng = problem.record_fits[0], np.random.default_rng(5)
     samples, prior = problem.samples(AT), HeatingErrorPrior(0.05, 60.0, 600.0, may_be_smooth=True)
-    towards = (np.full(2, 1e4), np.zeros(2))
-    sizes, drawn, made_with = {}, {}, {}
+    towards = (np.full(2, 1e4), -AT)
+    sizes = {}
     for true in (0.0, 0.02, 0.08):
         error = part.model_error.of_size(true, replace(CORRELATION, smooth=smooth))
         e = true * error.correlation_root @ rng.standard_normal(len(error.time_s))
@@ -198,16 +198,10 @@ def test_the_size_of_an_error_is_found_from_readings_made_with_it(problem, smoot
                 + s.sigma_K * rng.standard_normal(len(s.mean_K))
             )
             made.append(replace(s, channel=replace(c, intervals=replace(c.intervals, lower_K=read, upper_K=read))))
-        linear = linear_error(part, made, towards, np.array([True, True]))
-        sizes[true], made_with[true] = linear.size(prior), np.sqrt(np.mean(e**2))
-        errors = linear.errors(sizes[true], np.random.default_rng(6))
-        drawn[true] = np.sqrt(np.mean(errors**2, axis=0))
-    assert np.quantile(drawn[0.0], 0.95) < 0.012
+        sizes[true] = error_size(part, made, towards, np.array([True, True]), prior)
+    assert sizes[0.0].limit() < 0.012
     assert 0.01 < sizes[0.02].mean < 0.04
     assert 0.045 < sizes[0.08].mean < 0.14
-    for true in (0.02, 0.08):  # of what was made, and not of all that could have been
-        low, high = np.quantile(drawn[true], [0.005, 0.995])
-        assert low < made_with[true] < high
     assert sizes[0.08].likeliest[1].smooth is smooth
 
 
@@ -243,9 +237,7 @@ def error_size_at(problem, samples, free=(False,), of_flight=(False,), sigma=0.1
     """What readings say of the size of the errors about the middle of the prior of the one parameter."""
     towards = np.array([sigma**-2.0]), np.zeros(1)
     prior = HeatingErrorPrior(0.05, CORRELATION.time_s, CORRELATION.time_s)
-    return linear_error(problem.record_fits[0], samples, towards, np.array(free), SCALES, np.array(of_flight)).size(
-        prior
-    )
+    return error_size(problem.record_fits[0], samples, towards, np.array(free), prior, SCALES, np.array(of_flight))
 
 
 @pytest.mark.parametrize("is_clock", [False, True], ids=["flight alone", "a parameter with it"])

@@ -495,8 +495,7 @@ def _things(h: Hypothesis) -> set[tuple[str, str]]:
 
 def _small_error(h: Hypothesis) -> bool:
     """Whether the error of a hypothesis' model is small enough for it to be named."""
-    errors = h.last.relative_errors
-    return not len(errors) or float(np.mean(errors)) <= POLICY.max_heating_error
+    return h.last.told_size is None or h.last.told_size.mean <= POLICY.max_heating_error
 
 
 def _alternatives(best: Hypothesis, inside: Sequence[Hypothesis]) -> tuple[tuple[str, ...], ...]:

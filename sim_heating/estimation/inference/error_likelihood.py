@@ -411,110 +411,28 @@ def _middle_K(intervals: ReadingIntervals) -> FloatArray:
         return np.asarray(0.5 * (intervals.lower_K + intervals.upper_K))
 
 
-@dataclass(frozen=True, eq=False)
-class LinearError:
-    """Readings of a record over their noise, linear in the error of its model and in its parameters about a fit.
-
-    time_s      : (knot,) of the heating's error [s]
-    residual    : (reading,) readings less their predictions
-    heating     : (reading, knot) response to the error of the heating
-    others      : (reading, unknown) response to all else: the flight, what changes slowly, then the parameters
-    information : (unknown,) of their priors;  distance : (unknown,) of the means of these
-    drawn       : number of the first unknowns that belong to the error, and are not parameters of the model
-    scales      : factor on the standard deviations of the flight as stated [-] -> its prior probability [-]
-    wider       : (scale, unknown) factor on the standard deviation of each by these
-    """
-
-    time_s: FloatArray
-    residual: FloatArray
-    heating: FloatArray
-    others: FloatArray
-    information: FloatArray
-    distance: FloatArray
-    drawn: int
-    scales: Mapping[float, float]
-    wider: FloatArray
-
-    @cached_property
-    def _products(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """S' S, S' r and S' J of the responses S of the heating, the residual r and the other responses J."""
-        S = self.heating
-        return S.T @ S, S.T @ self.residual, S.T @ self.others
-
-    def size(self, prior: HeatingErrorPrior) -> ErrorSize:
-        """What the readings say of the size of the heating's error and of the flight's; prior : of the heating's.
-
-        With A = R^-1/2 S L / s and the eigenvalues k and eigenvectors V of A' A, the inverse of the covariance that the
-        heating's error gives, 1 + s^2 A A', is 1 - A V diag(s^2 / (1 + s^2 k)) V' A'; that of the flight is integrated
-        out with the parameters. Source: docs/theory/model_error.md, equations 5 and 5a.
-        """
-        r, J, information, distance, drawn = self.residual, self.others, self.information, self.distance, self.drawn
-        sizes, correlations, weights = prior.grid()
-        log_weight = np.log(list(self.scales.values()))[:, np.newaxis, np.newaxis] + weights
-        log_likelihood = np.empty(log_weight.shape)
-        SS, Sr, SJ = self._products
-        for i, correlation in enumerate(correlations):
-            L = correlation.root(self.time_s)
-            eigenvalues, V = np.linalg.eigh(L.T @ SS @ L)
-            along = V.T @ L.T
-            Ar, AJ, squares = along @ Sr, along @ SJ, np.maximum(eigenvalues, 0.0)
-            for k, size in enumerate(sizes):
-                taken_up = size**2 / (1.0 + size**2 * squares)
-                M_read = J.T @ J - (AJ * taken_up[:, np.newaxis]).T @ AJ
-                g_read = J.T @ r - AJ.T @ (taken_up * Ar)
-                square_read = float(r @ r - Ar @ (taken_up * Ar)) + float(np.sum(np.log1p(size**2 * squares)))
-                for j, factors in enumerate(self.wider):
-                    known = information / factors**2
-                    M, g = M_read + np.diag(known), g_read + known * distance
-                    step = np.linalg.lstsq(M, g, rcond=None)[0]
-                    volume = float(np.linalg.slogdet(M[:drawn, :drawn])[1]) + 2.0 * float(np.sum(np.log(factors)))
-                    square = square_read + float(known @ distance**2)
-                    log_likelihood[j, i, k] = -0.5 * (square - float(g @ step) + volume)
-        return ErrorSize(sizes, correlations, np.array(list(self.scales)), log_likelihood, log_weight)
-
-    def errors(self, size: ErrorSize, rng: np.random.Generator, *, count: int = 200) -> FloatArray:
-        """(knot, draw) errors of the heating that the readings allow [-], size, correlation and all else drawn as well.
-
-        size : by these readings
-
-        Source: docs/theory/model_error.md, equation 5d.
-        """
-        SS, Sr, SJ = self._products
-        J, known_g = self.others, np.ones(len(self.time_s))
-        draws = rng.multinomial(count, size.posterior.ravel()).reshape(size.posterior.shape)
-        errors = []
-        for j, i, k in zip(*np.nonzero(draws), strict=True):
-            root = size.sizes[k] * size.correlations[i].root(self.time_s)
-            known = np.append(known_g, self.information / self.wider[j] ** 2)
-            towards = np.append(0.0 * known_g, self.information / self.wider[j] ** 2 * self.distance)
-            M = np.block([[root.T @ SS @ root, root.T @ SJ], [SJ.T @ root, J.T @ J]]) + np.diag(known)
-            told = np.diag(M) > 0.0  # nothing is known of the others, and nothing depends on them
-            lower = np.linalg.cholesky(M[np.ix_(told, told)])
-            mean = cho_solve((lower, True), (np.append(root.T @ Sr, J.T @ self.residual) + towards)[told])
-            noise = rng.standard_normal((len(mean), int(draws[j, i, k])))
-            u = mean[:, np.newaxis] + solve_triangular(lower, noise, lower=True, trans="T")
-            errors.append(root @ u[: len(root)])
-        return np.column_stack(errors)
-
-
-def linear_error(
+def error_size(
     record_fit: RecordFit,
     samples: Sequence[PredictedSamples],
     towards_prior: tuple[FloatArray, FloatArray],
     free: BoolArray,
+    prior: HeatingErrorPrior,
     scales: Mapping[float, float] = AS_STATED,
     of_flight: BoolArray | None = None,
-) -> LinearError:
-    """The readings of a record about a fitted model, linear in the error of the model and in its parameters.
+) -> ErrorSize:
+    """What the readings say of the size of the heating's error and of the flight's, about a fitted model.
 
     record_fit    : the record with its error;  samples : its channels at the values of the fit, with sensitivities
     towards_prior : (parameter,) prior information of the parameters, and the distance of the means of their priors
     free          : (parameter,) whether a parameter may move from its value
+    prior         : of the size
     scales        : factor on the standard deviations of the flight as stated [-] -> its prior probability [-]
     of_flight     : (parameter,) whether its prior is one of these standard deviations; None for no parameter
 
-    A rounded reading counts as one with the noise of its rounding. Source: docs/theory/model_error.md, equations 5 and
-    5a.
+    The model is linear in its parameters here, and a rounded reading counts as one with the noise of its rounding. With
+    A = R^-1/2 S L / s and the eigenvalues k and eigenvectors V of A' A, the inverse of the covariance that the
+    heating's error gives, 1 + s^2 A A', is 1 - A V diag(s^2 / (1 + s^2 k)) V' A'; that of the flight is integrated out
+    with the parameters. Source: docs/theory/model_error.md, equations 5 and 5a.
     """
     error = record_fit.model_error
     assert error is not None  # the caller's records have one
@@ -528,14 +446,34 @@ def linear_error(
     sensitivity = np.concatenate([s.sensitivity for s in samples])[:, order]
     is_read = np.isfinite(read)
     noise_K = noise[is_read, np.newaxis]
+    r, S = (read - mean_K)[is_read] / noise[is_read], S[is_read] / noise_K
+    J = np.column_stack([F[is_read], sensitivity[is_read]]) / noise_K
     others, clocks = F.shape[1], int(np.count_nonzero(is_clock))
     drawn, directions = others + clocks, error.flight_K.shape[-1] - len(record_fit.flight_names)
     information = np.append(np.ones(others), towards_prior[0][order])
+    distance = np.append(np.zeros(others), towards_prior[1][order])
     wider = np.ones((len(scales), len(information)))
     wider[:, :directions] = (np.array(list(scales)) / error.flight_scale)[:, np.newaxis]
     wider[:, others:drawn] = np.array(list(scales))[:, np.newaxis]
-    return LinearError(
-        error.time_s, (read - mean_K)[is_read] / noise[is_read], S[is_read] / noise_K,
-        np.column_stack([F[is_read], sensitivity[is_read]]) / noise_K,
-        information, np.append(np.zeros(others), towards_prior[1][order]), drawn, scales, wider,
-    )  # fmt: skip
+    sizes, correlations, weights = prior.grid()
+    log_weight = np.log(list(scales.values()))[:, np.newaxis, np.newaxis] + weights
+    log_likelihood = np.empty(log_weight.shape)
+    SS, Sr, SJ = S.T @ S, S.T @ r, S.T @ J
+    for i, correlation in enumerate(correlations):
+        L = correlation.root(error.time_s)
+        eigenvalues, V = np.linalg.eigh(L.T @ SS @ L)
+        along = V.T @ L.T
+        Ar, AJ, squares = along @ Sr, along @ SJ, np.maximum(eigenvalues, 0.0)
+        for k, size in enumerate(sizes):
+            taken_up = size**2 / (1.0 + size**2 * squares)
+            M_read = J.T @ J - (AJ * taken_up[:, np.newaxis]).T @ AJ
+            g_read = J.T @ r - AJ.T @ (taken_up * Ar)
+            square_read = float(r @ r - Ar @ (taken_up * Ar)) + float(np.sum(np.log1p(size**2 * squares)))
+            for j, factors in enumerate(wider):
+                known = information / factors**2
+                M, g = M_read + np.diag(known), g_read + known * distance
+                step = np.linalg.lstsq(M, g, rcond=None)[0]
+                volume = float(np.linalg.slogdet(M[:drawn, :drawn])[1]) + 2.0 * float(np.sum(np.log(factors)))
+                square = square_read + float(known @ distance**2)
+                log_likelihood[j, i, k] = -0.5 * (square - float(g @ step) + volume)
+    return ErrorSize(sizes, correlations, np.array(list(scales)), log_likelihood, log_weight)

@@ -412,3 +412,9 @@ class ErrorSize:
     def rms(self) -> float:
         """Root mean square of the standard deviation [-]: docs/theory/model_error.md, equation 5."""
         return math.sqrt(float(self.posterior.sum(axis=(0, 1)) @ self.sizes**2))
+
+    def limit(self, probability: float = 0.95) -> float:
+        """Limit that the standard deviation is below with a probability [-]: docs/theory/model_error.md, equation 5."""
+        upper = np.append(0.5 * (self.sizes[1:] + self.sizes[:-1]), 1.5 * self.sizes[-1])
+        below = np.append(0.0, np.cumsum(self.posterior.sum(axis=(0, 1))))
+        return float(np.interp(probability, below, np.append(0.0, upper)))

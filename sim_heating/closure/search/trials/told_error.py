@@ -27,7 +27,7 @@ IN_WORDS = {
 class ToldError:
     """The error of the model of a record, as the readings show it with one model.
 
-    relative, limit_95 : root mean square of the heating's error while it is hot, and its limit with 95 % [-]
+    relative, limit_95 : size of the smooth error of the heating, its mean and the limit that it is below with 95 % [-]
     correlation_s : its likeliest correlation time [s]
     rms_K         : what it does to the fitted readings [K]
     largest_phase : part of the record where it does most
@@ -111,8 +111,7 @@ def told_error(trial: TrialFit, *, phase_count: int = 8) -> ToldError | None:
     phases = [index for index in np.array_split(order, phase_count) if len(index)]
     largest = max(phases, key=lambda index: float(np.mean(moved_K[index] ** 2)))
     return ToldError(
-        float(np.mean(trial.relative_errors)), float(np.quantile(trial.relative_errors, POLICY.confidence)),
-        size.likeliest[1].time_s, float(np.sqrt(np.mean(moved_K**2))),
+        size.mean, size.limit(), size.likeliest[1].time_s, float(np.sqrt(np.mean(moved_K**2))),
         f"{at_s[largest[0]]:.0f} to {at_s[largest[-1]]:.0f} s", _flight(trial, error, u),
         size.posterior_of_scale if len(size.scales) > 1 else {},
     )  # fmt: skip

@@ -35,22 +35,21 @@ from sim_heating.estimation.inference.bounds import ChannelResiduals, spectral_d
 from sim_heating.estimation.inference.conditions_noise import heating_noise
 from sim_heating.estimation.inference.error_likelihood import (
     ErrorState,
-    LinearError,
+    error_size,
     innovations,
-    linear_error,
     model_error,
     noise_error,
     parameter_root_K,
 )
 from sim_heating.estimation.inference.likelihood import likelihood, log_likelihood
-from sim_heating.estimation.inference.model_error import ErrorSize, ModelError
+from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.record_fit import SKEW_SPAN_S, PredictedSamples, RecordFit, least_sigma_K, take_error
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import EffectUse
-from sim_heating.inputs.points import HEATED, conditions_of_record
+from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
 from sim_heating.thermal.frame import NOT_CONTROLLED_K
@@ -132,27 +131,15 @@ class TrialFit:
 
     @cached_property
     def told_size(self) -> ErrorSize | None:
-        """What the readings say of the size of its model's error, smooth or not, over a quarter of a minute and more.
+        """What the readings say of the size of its model's error, with correlation times from a quarter of a minute.
 
-        None without an error. A comparison of causes has none below a minute and none that is smooth: an error that
-        changes faster counts as a larger one there, a smooth one as a smaller one.
+        None without an error. A comparison of causes has none below a minute, where an error that changes faster counts
+        as a larger one.
         """
         prior = stated_error(self.record_fit.record).heating
-        return None if self.size is None or prior is None else _linear_error(self).size(prior)
-
-    @cached_property
-    def relative_errors(self) -> FloatArray:
-        """(draw,) root mean square of the heating's error while it is hot, of draws that the readings allow [-].
-
-        Empty without an error. Source: docs/theory/model_error.md, equation 5d.
-        """
-        error, size = self.record_fit.model_error, self.told_size
-        if error is None or size is None:
-            return np.zeros(0)
-        flown = self.record_fit.conditions.at(error.time_s)
-        heating = _heating_W_m2(flown)
-        drawn = _linear_error(self).errors(size, np.random.default_rng(20261129))
-        return np.asarray(np.sqrt(np.mean(drawn[heating > HEATED * np.max(heating)] ** 2, axis=0)))
+        if self.size is None or prior is None:
+            return None
+        return _size_of_error(self, replace(prior, may_be_smooth=False))
 
     @property
     def log_evidence(self) -> float:
@@ -423,14 +410,14 @@ def with_own_error(trial: TrialFit) -> TrialFit:
     except RunError:
         return trial
     sized = with_error(trial, error)
-    size = _linear_error(sized).size(prior)
+    size = _size_of_error(sized, prior)
     sized = with_error(sized, error.of_size(*size.likeliest))
     fit = maximise_together([sized.problem], [trial.fit.values], replace(CONVERGE, iterations=40))[0]
     if not np.isfinite(fit.log_likelihood):
         return trial
     gained = fit.log_likelihood - trial.fit.log_likelihood
     sized = replace(sized, fit=fit, delta_bic=trial.delta_bic - 2.0 * gained)
-    return replace(sized, size=_linear_error(sized).size(prior))
+    return replace(sized, size=_size_of_error(sized, prior))
 
 
 def with_error(trial: TrialFit, error: ModelError) -> TrialFit:
@@ -443,8 +430,8 @@ def over_both(trial: TrialFit, changed: Callable[[FitProblem], FitProblem]) -> T
     return replace(trial, problem=changed(trial.problem), held_out=trial.held_out and changed(trial.held_out))
 
 
-def _linear_error(trial: TrialFit) -> LinearError:
-    """The readings of a trial's record, linear in the error of its model and in its parameters about their values."""
+def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
+    """What the readings say of the size of the error of a trial's model."""
     parameters = trial.problem.parameters
     information = np.array([p.sigma**-2.0 for p in parameters])
     distance = np.array([p.value for p in parameters]) - trial.fit.values
@@ -452,8 +439,10 @@ def _linear_error(trial: TrialFit) -> LinearError:
     flight = flight_error(record_fit.record)
     has_one_clock = flight is not None and flight.has_one_clock
     is_clock = np.array([has_one_clock and p.name == CLOCK_SKEW.name for p in parameters])
-    scales = flight_scales(record_fit.record)
-    return linear_error(record_fit, samples, (information, distance), ~trial.fit.on_bound, scales, is_clock)
+    return error_size(
+        record_fit, samples, (information, distance), ~trial.fit.on_bound, prior, flight_scales(record_fit.record),
+        is_clock,
+    )  # fmt: skip
 
 
 def _declared_problem(
@@ -663,7 +652,9 @@ def thinned_indices(flown: Conditions, *, heating_tolerance: float = 0.002) -> N
         the largest heating of the flight
     """
     t = flown.time_s
-    heating = _heating_W_m2(flown)
+    heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+    if "q_add_W_m2" in flown:
+        heating = heating + flown["q_add_W_m2"]
     largest = float(np.max(np.abs(heating)))
     columns = [heating / (heating_tolerance * largest)] if largest > 0.0 else []
     columns += [flown[name] / tolerance for name, tolerance in TOLERANCES.items() if name in flown]
@@ -677,12 +668,6 @@ def thinned_indices(flown: Conditions, *, heating_tolerance: float = 0.002) -> N
             j -= 1
         kept.append(j)
     return np.array(kept, dtype=np.int64)
-
-
-def _heating_W_m2(flown: Conditions) -> FloatArray:
-    """(sample,) flux of a cold wall by the reference heating and by lamps [W/m2]."""
-    flux = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
-    return flux + flown["q_add_W_m2"] if "q_add_W_m2" in flown else flux
 
 
 def _is_linear(t: FloatArray, x: FloatArray) -> bool:
