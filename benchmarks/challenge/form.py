@@ -32,6 +32,7 @@ class Family:
     recorded  : for a fault of the flight: the state as it was recorded, from the state as it was
     effects   : names of effects that report it all the same
     is_slope  : whether a refit of the slopes takes up all of it
+    same      : form -> another effect that is the same function once the slopes are fitted
     kind      : "wall", "flight" or "sensor" of a fault whose class does not say it; empty where it is none of them
     """
 
@@ -46,6 +47,7 @@ class Family:
     effects: tuple[str, ...] = ()
     is_slope: bool = False
     kind: str = ""
+    same: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -138,7 +138,10 @@ def _curvature(name: str, variable: int, needs: str, points: tuple[str, ...]) ->
             return Deviation(add=p[key] * x * x * (1.0 + 0.3 * np.tanh(x / s)))
         return Deviation(add=p[key] * (4.0 * np.abs(x) if form == "kink" else x * x))
 
-    return Family(name, ("quadratic", "cosh", "skewed", "kink"), draw, act, {key: (0.0, -0.05, 0.05)}, (needs,), points)
+    # |x| = 2 max(x, 0) - x, and a slope of the table takes up -x
+    same = {"kink": "impingement-onset"} if variable == ALPHA else {}
+    forms = ("quadratic", "cosh", "skewed", "kink")
+    return Family(name, forms, draw, act, {key: (0.0, -0.05, 0.05)}, (needs,), points, same=same)
 
 
 PRODUCTS = {"d_alpha_elevon": (ALPHA, ELEVON), "d_alpha_bodyflap": (ALPHA, FLAP), "d_elevon_bodyflap": (ELEVON, FLAP)}

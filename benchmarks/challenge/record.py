@@ -326,7 +326,7 @@ def _judged(rng: Generator, bench: Bench, drawn: Sequence[Drawn], of_class: str)
         others = [c for j, c in enumerate(changes) if j != i]
         names = [x.family.name for x in drawn]
         near = accepted(rng, bench, changes[i], others, count(d), names, EFFECTS)
-        own = [d.family.name] if truth else list(d.family.effects)
+        own = [d.family.name, *filter(None, [d.family.same.get(d.form)])] if truth else list(d.family.effects)
         slots.append([*own, *(n for n in near if n not in own)])
     separable = bool(truth) and all(len(names) == 1 for names in slots)
     return {"effects": truth, "accepted": slots, "separable": separable}

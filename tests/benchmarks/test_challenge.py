@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks.challenge.air import EARTH_M, G0, WALL_K, standard_air, wall_enthalpy
 from benchmarks.challenge.judge import Bench, log_evidence
+from benchmarks.challenge.on_ratio import ALPHA
 from benchmarks.challenge.record import (
     CLASSES,
     EFFECTS,
@@ -141,6 +142,19 @@ def test_set_holds_every_class_and_any_first_part_of_it_holds_nearly_all_in_prop
     assert len(set(whole_set(sum(CLASSES.values())))) == sum(CLASSES.values()) >= 600
     tenth = [of_class for of_class, _ in whole_set(66)]
     assert all(abs(tenth.count(name) - n / 10) <= 1 for name, n in CLASSES.items())
+
+
+def test_a_kink_in_alpha_is_an_onset_of_impingement_beside_a_slope():
+    curvature, onset = (next(f for f in EFFECTS if f.name == n) for n in ("alpha-curvature", "impingement-onset"))
+    history = made_of("null").case.at(1.0)
+    alpha = history.x[ALPHA]
+    kink = curvature.act(history, "kink", {"d_alpha2": 0.001, "scale_deg": 10.0}).add
+    at_deg = float(alpha[np.argmin(kink)])
+    ramp = onset.act(history, "ramp", {"alpha_onset_deg": at_deg, "slope": 0.001, "blend_deg": 1.0}).add
+    terms = np.column_stack([np.ones_like(alpha), alpha, ramp])
+    left = kink - terms @ np.linalg.lstsq(terms, kink, rcond=None)[0]
+    assert np.max(np.abs(left)) < 0.01 * np.ptp(kink)
+    assert curvature.same == {"kink": onset.name}
 
 
 @pytest.mark.sample(1)
