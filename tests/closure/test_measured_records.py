@@ -61,7 +61,7 @@ def with_error_of_heating(record, error_at, rng):
     error_at : from (time,) [s] to (time,) [-]
     """
     problem = FitProblem([record], [], REFERENCE)
-    error = model_error(problem.record_fits[0], np.zeros(0), 1.0, 100.0)
+    error = model_error(problem.record_fits[0], np.zeros(0), 1.0, Correlation(100.0))
     e, columns = error_at(error.time_s), dict(record.thermocouples)
     for s in problem.samples(np.zeros(0)):
         moved = error.at(s.channel.number, s.time_s)[0] @ e

@@ -12,6 +12,7 @@ from sim_heating.closure.prior.model_error import flight_error
 from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.estimation.fit import fit_problem, predict_fit
 from sim_heating.estimation.inference.error_likelihood import model_error
+from sim_heating.estimation.inference.model_error import Correlation
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.record import FlightUncertainty, load_record
@@ -32,7 +33,7 @@ def stated(along: float):
 
 def fitted(record):
     plain = FitProblem([record], ["ratio.scale"], REFERENCE)
-    error = model_error(plain.record_fits[0], np.zeros(1), 0.05, 150.0, flight_error(record))
+    error = model_error(plain.record_fits[0], np.zeros(1), 0.05, Correlation(150.0), flight_error(record))
     return fit_problem(plain.with_model_error(error), np.zeros(1))
 
 
