@@ -240,10 +240,9 @@ def _within(value: float, limits: tuple[float, float]) -> float:
 
 
 def _sensor_candidates(record: Record, effect: str, forms: Sequence[tuple[str, ...]]) -> list[Candidate]:
-    """Errors of each used sensor by itself; none for a single one, whose bias resembles heating, and whose lag is that
-    of all."""
+    """Errors of each used sensor by itself; no lag of a single one, which is that of all."""
     tried = []
-    for sensor in record.used_sensors if len(record.used_sensors) > 1 else []:
+    for sensor in record.used_sensors if len(record.used_sensors) > 1 or forms is BIASES else []:
         for errors in forms:
             names = tuple(sensor_parameter(sensor, error) for error in errors)
             if forms is LAGS:
