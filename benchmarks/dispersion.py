@@ -27,6 +27,7 @@ from sim_heating.base.parallel.threads import one_thread
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.planning.dispersion.entry import BATCH, SOBOL, Batch, DispersedEntry
 from sim_heating.planning.dispersion.flight import condition_kernel, entry_sampler
+from sim_heating.planning.dispersion.input_checks import check_inputs
 from sim_heating.planning.dispersion.march import LaneMarch
 from sim_heating.planning.dispersion.statistics import deviations
 from sim_heating.planning.study import load_study
@@ -174,7 +175,7 @@ def run() -> list[Figure]:
     study = load_study(STUDY)
     bare = replace(study, declared=study.declared.model_copy(update={"soak_s": 0.0}))
     entry = DispersedEntry(bare)
-    entry.check()
+    check_inputs(entry)
     entry.fly(Batch(SOBOL, 0, BATCH))
     ended = entry.sampler.fly(entry.inputs, [{}]).end_s[0]
     parts = _parts(entry)

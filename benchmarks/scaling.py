@@ -33,6 +33,7 @@ from sim_heating.closure.batch import close_all, record_job
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.inputs.record import load_record
 from sim_heating.planning.dispersion.entry import SOBOL, Batch, DispersedEntry
+from sim_heating.planning.dispersion.input_checks import check_inputs
 from sim_heating.planning.study import load_study
 from tests.support.problems import NOTHING, ensemble_of, entry, points
 
@@ -73,7 +74,7 @@ def _exponents() -> list[Figure]:
 
     study = load_study(STUDY)
     dispersed = DispersedEntry(replace(study, declared=study.declared.model_copy(update={"soak_s": 0.0})))
-    dispersed.check()
+    check_inputs(dispersed)
     dispersed.fly(Batch(SOBOL, 0, 8))
     record = load_record(PRACTICE / "p06")
     mask = record.fit_mask()

@@ -217,8 +217,9 @@ def _study(path: Path, root: Path | None) -> CheckedPath:
         check_triggers(spec, study.vehicle, f"{display_path(path)}, [next_flight.manoeuvre] {i}")
     if study.declared.dispersion is not None:
         from sim_heating.planning.dispersion.entry import DispersedEntry
+        from sim_heating.planning.dispersion.input_checks import check_inputs
 
-        DispersedEntry(study).check()
+        check_inputs(DispersedEntry(study))
     return CheckedPath("study", path, f"study of {study.stamp}: {study.title}")
 
 

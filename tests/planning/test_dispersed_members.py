@@ -14,6 +14,7 @@ from sim_heating.estimation.report.estimate_file import read_estimate, write_est
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.planning.bands import spreads
 from sim_heating.planning.dispersion.entry import SOBOL, Batch, DispersedEntry
+from sim_heating.planning.dispersion.input_checks import check_inputs
 from sim_heating.planning.study import load_study
 from sim_heating.trajectory.flight import conditions_from_rows
 from tests.support.paths import ROOT, SCENARIOS
@@ -77,7 +78,8 @@ def test_draws_of_an_estimate_have_the_sigma_that_its_band_has(tmp_path: Path) -
     vehicle, point = entry.study.vehicle, entry.points[0].point
     rows = entry.planned.rows[0, : entry.planned.frame_counts[0]]
     path = conditions_at_point(vehicle, point, conditions_from_rows(rows, vehicle.reference_length_m))
-    band = spreads(entry.drawn_members[0].declared[0], path, entry.members[0], heating=None, with_table=False)[0]
+    only = entry.members.each[0]
+    band = spreads(only.declared[0], path, only.member, heating=None, with_table=False)[0]
     assert np.std(flown[f"surface_K.{POINT}"]) == pytest.approx(band.sources["estimate"], rel=0.1)
 
 
@@ -85,8 +87,8 @@ def test_draws_of_an_estimate_have_the_sigma_that_its_band_has(tmp_path: Path) -
 def test_an_estimate_stands_in_place_of_the_studys_own_input(tmp_path: Path) -> None:
     own = '[[dispersion.input]]\nname = "ratio.scale"\nsigma = 0.0001\n'
     entry = entry_with(tmp_path, {"hot": 1.0}, own)
-    assert [[place.point for place in places] for places in entry.parameter_places] == [[1]]
-    entry.check()
+    assert [[place.point for place in places] for places in entry.marches[0].places] == [[1]]
+    check_inputs(entry)
 
 
 @pytest.mark.thorough

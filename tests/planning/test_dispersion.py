@@ -15,6 +15,7 @@ from sim_heating.inputs.points import conditions_at_point
 from sim_heating.march.history import march_points
 from sim_heating.planning.dispersion.entry import BATCH, DIFFERENCE, SOBOL, Batch, DispersedEntry
 from sim_heating.planning.dispersion.flight import COMPLETED, LEFT_ATMOSPHERE, entry_with_deviations
+from sim_heating.planning.dispersion.input_checks import check_inputs
 from sim_heating.planning.dispersion.results import batches_of, evaluate, exact_slopes, notes_of
 from sim_heating.planning.dispersion.spec import DispersedInput, Dispersion
 from sim_heating.planning.dispersion.statistics import (
@@ -100,7 +101,7 @@ def entry_of(tmp_path, inputs="", **given):
 def refusal(tmp_path, text):
     """The message for a study with this input."""
     with pytest.raises(InputError) as error:
-        entry_of(tmp_path, f"[[dispersion.input]]\n{text}\n").check()
+        check_inputs(entry_of(tmp_path, f"[[dispersion.input]]\n{text}\n"))
     return str(error.value)
 
 
@@ -470,7 +471,7 @@ def test_every_input_is_described_with_its_size_and_unit(tmp_path):
 @pytest.mark.parametrize("path", sorted((SCENARIOS / "studies").glob("dispersed_*.toml")), ids=lambda p: p.stem)
 def test_shipped_dispersions_can_be_flown(path):
     entry = DispersedEntry(load_study(path))
-    entry.check()
+    check_inputs(entry)
     assert entry.dimensions > len(entry.inputs)
 
 

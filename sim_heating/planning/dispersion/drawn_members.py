@@ -94,23 +94,46 @@ class DrawnMember:
         return drawn
 
 
-def heaviest(members: Sequence[Member]) -> int:
-    """Number of the member with the greatest weight."""
-    return int(np.argmax([m.weight for m in members]))
+@dataclass(frozen=True, eq=False)
+class DrawnMembers:
+    """The members of a study, one of which each flight has.
 
+    each : at the control points; of a study that names no estimate a single one, as the vehicle declares them
+    """
 
-def shares(members: Sequence[Member]) -> FloatArray:
-    """(member,) weights over their sum [-]."""
-    weights = np.array([m.weight for m in members])
-    return np.asarray(weights / np.sum(weights))
+    each: Sequence[DrawnMember]
 
+    @property
+    def is_drawn(self) -> bool:
+        """Whether they are estimates, which flights draw."""
+        return any(m.member.estimate is not None for m in self.each)
 
-def drawn(members: Sequence[Member], z: FloatArray) -> IntArray:
-    """(flight,) number of the member of each flight, by its share of (flight,) standard normal numbers; 0 has the
-    heaviest."""
-    share, first = shares(members), heaviest(members)
-    order = np.array([first, *(k for k in range(len(members)) if k != first)])
-    # The heaviest lies about the middle of the distribution, where the planned flight is.
-    u = (ndtr(z) - 0.5 + 0.5 * share[first]) % 1.0
-    place = np.searchsorted(np.cumsum(share[order])[:-1], u, side="right")
-    return np.asarray(order[place])
+    @cached_property
+    def shares(self) -> FloatArray:
+        """(member,) weights over their sum [-]."""
+        weights = np.array([m.member.weight for m in self.each])
+        return np.asarray(weights / np.sum(weights))
+
+    @cached_property
+    def heaviest(self) -> int:
+        """Number of the member with the greatest weight, by which the flight is planned."""
+        return int(np.argmax(self.shares))
+
+    @property
+    def columns(self) -> int:
+        """Number of normal numbers of a flight: which member it has, and what that leaves open."""
+        return 1 + max(m.axes for m in self.each) if self.is_drawn else 0
+
+    def numbers(self, z: FloatArray) -> IntArray:
+        """(flight,) number of the member of each flight, by its share; 0 has the heaviest.
+
+        z : (flight, number) standard normal numbers, `columns` of them
+        """
+        if not self.is_drawn:
+            return np.zeros(len(z), dtype=np.int64)
+        share, first = self.shares, self.heaviest
+        order = np.array([first, *(k for k in range(len(self.each)) if k != first)])
+        # The heaviest lies about the middle of the distribution, where the planned flight is.
+        u = (ndtr(z[:, 0]) - 0.5 + 0.5 * share[first]) % 1.0
+        place = np.searchsorted(np.cumsum(share[order])[:-1], u, side="right")
+        return np.asarray(order[place])

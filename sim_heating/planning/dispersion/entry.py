@@ -15,25 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import repeated_name
 from sim_heating.base.kernels.block import LANES
 from sim_heating.march.mesh_choice import NODE_COUNTS, mesh_of_nodes
 from sim_heating.planning.bands import DECLARED, Member
-from sim_heating.planning.dispersion.drawn_members import DrawnMember, drawn, heaviest
-from sim_heating.planning.dispersion.flight import (
-    EntrySampler,
-    SampledFlights,
-    entry_sampler,
-    entry_with_deviations,
-    input_labels,
-)
-from sim_heating.planning.dispersion.march import FlightPeaks, LaneMarch, ParameterPlace, model_without_sensors
-from sim_heating.planning.dispersion.spec import FLIGHT_INPUTS, LARGEST_SIGMAS, DispersedInput, Dispersion
+from sim_heating.planning.dispersion.drawn_members import DrawnMember, DrawnMembers
+from sim_heating.planning.dispersion.flight import EntrySampler, SampledFlights, entry_sampler, input_labels
+from sim_heating.planning.dispersion.march import FlightPeaks, LaneMarch, model_without_sensors
+from sim_heating.planning.dispersion.member_march import MemberMarch, joined
+from sim_heating.planning.dispersion.spec import FLIGHT_INPUTS, DispersedInput, Dispersion
 from sim_heating.planning.dispersion.statistics import axis_rows, deviations, random_rows, saltelli_rows, sobol_rows
-from sim_heating.planning.ratio_table_modes import table_factors, table_modes
+from sim_heating.planning.ratio_table_modes import table_modes
 from sim_heating.planning.study import Study
 from sim_heating.thermal.mesh import Mesh, halve_elements
 from sim_heating.trajectory.flight import conditions_from_rows
@@ -77,8 +71,9 @@ class DispersedEntry:
         self.inputs: list[DispersedInput] = self.spec.input
         self.labels = input_labels(self.inputs)
         self.points = study.points
+        self.point_names = [p.point.name for p in self.points]
         self.effects = [study.base.effects(p.point.name) for p in self.points]
-        self.members: Sequence[Member] = study.members("dispersion") or DECLARED
+        self.estimates: Sequence[Member] = study.members("dispersion") or DECLARED
 
     def __getstate__(self) -> dict[str, Any]:
         """The study, and the results that take long to compute if they are there: another process then has them."""
@@ -145,32 +140,15 @@ class DispersedEntry:
         """Columns of a row for the member of a flight, if there are some: which one it is, and what that leaves open;
         behind those of the ratio tables."""
         first = self.mode_columns[-1].stop
-        count = 1 + max(d.axes for d in self.drawn_members) if self.has_members else 0
-        return slice(first, first + count)
-
-    @property
-    def has_members(self) -> bool:
-        """Whether the study names estimates."""
-        return bool(self.spec.member)
+        return slice(first, first + self.members.columns)
 
     @cached_property
-    def drawn_members(self) -> list[DrawnMember]:
+    def members(self) -> DrawnMembers:
         """The members at the control points."""
         models = [
             model_without_sensors(self.study.vehicle, p, e) for p, e in zip(self.points, self.effects, strict=True)
         ]
-        return [DrawnMember(models, m) for m in self.members]
-
-    @cached_property
-    def heaviest(self) -> int:
-        """Number of the member with the greatest weight, by which the flight is planned."""
-        return heaviest(self.members)
-
-    def members_of(self, z: FloatArray) -> IntArray:
-        """(flight,) number of the member of each flight, from (flight, dimension) standard normal numbers."""
-        if not self.has_members:
-            return np.zeros(len(z), dtype=np.int64)
-        return drawn(self.members, z[:, self.member_columns.start])
+        return DrawnMembers([DrawnMember(models, m) for m in self.estimates])
 
     @cached_property
     def groups(self) -> list[tuple[str, list[int]]]:
@@ -192,7 +170,7 @@ class DispersedEntry:
         described = []
         for i, label in zip(self.inputs, self.labels, strict=True):
             named = i.title or (f"profile {int(label.rpartition('#')[2]) + 1}" if i.name in has_profiles else "")
-            points = [] if i.name in FLIGHT_INPUTS else self._points_of(i)
+            points = [] if i.name in FLIGHT_INPUTS else i.points_of(self.point_names)
             unit = self.lanes.models[points[0]].definition(i.name).unit if points else "1"
             described.append(i.model_copy(update={"title": named}).describe(unit))
         sizes = {"ratio tables": "their own sigma", "members": "by weight, and by their covariance"}
@@ -201,65 +179,45 @@ class DispersedEntry:
     @cached_property
     def meshes(self) -> list[Mesh]:
         """For each point the coarsest mesh whose peaks along the planned flight are accurate to MESH_TOLERANCE_K."""
-        models = self.drawn_members[self.heaviest].models
+        heaviest = self.members.each[self.members.heaviest]
         chosen: dict[int, Mesh] = {}
         # Judged by the peaks of the planned flight and not by the pulse of `march.mesh_choice`: only peaks have to be
         # accurate here.
         for nodes in NODE_COUNTS:
-            coarse = [mesh_of_nodes(m, nodes, self.spec.thermal_step_s) for m in models]
+            coarse = [mesh_of_nodes(m, nodes, self.spec.thermal_step_s) for m in heaviest.models]
             fine = [halve_elements(mesh) for mesh in coarse]
-            change = np.abs(self._planned_peaks(coarse) - self._planned_peaks(fine)).max(axis=0)
+            on_coarse, on_fine = (self._planned_peaks(self._lanes(heaviest, meshes)) for meshes in (coarse, fine))
+            change = np.abs(on_coarse - on_fine).max(axis=0)
             for p, mesh in enumerate(coarse):
                 if change[p] < 0.75 * MESH_TOLERANCE_K:
                     chosen.setdefault(p, mesh)
-            if len(chosen) == len(models):
+            if len(chosen) == len(self.points):
                 break
         return [chosen.get(p, mesh) for p, mesh in enumerate(coarse)]
 
-    def _planned_peaks(self, meshes: Sequence[Mesh]) -> FloatArray:
-        return self._peaks_of(self._lanes(self.heaviest, meshes))
-
-    def _peaks_of(self, lanes: LaneMarch) -> FloatArray:
+    def _planned_peaks(self, lanes: LaneMarch) -> FloatArray:
         """(quantity, point) peaks along the planned flight [K]."""
         peaks = lanes.march(self.planned, 0, [], [None] * len(self.points))
         return np.array([peaks.surface_K[0], peaks.bondline_K[0]])
 
-    def _lanes(self, member: int, meshes: Sequence[Mesh]) -> LaneMarch:
-        study, models = self.study, self.drawn_members[member].models
+    def _lanes(self, member: DrawnMember, meshes: Sequence[Mesh]) -> LaneMarch:
+        study, models = self.study, member.models
         return LaneMarch(study.vehicle, self.points, models, meshes, self.spec.thermal_step_s, study.declared.soak_s)
 
     @cached_property
-    def lanes_of_members(self) -> list[LaneMarch]:
+    def marches(self) -> list[MemberMarch]:
         """The control points in lanes, as each member has them."""
-        return [self._lanes(k, self.meshes) for k in range(len(self.members))]
+        return [MemberMarch(m, self._lanes(m, self.meshes), self.inputs) for m in self.members.each]
 
     @property
     def lanes(self) -> LaneMarch:
         """The control points in lanes, as the heaviest member has them."""
-        return self.lanes_of_members[self.heaviest]
+        return self.marches[self.members.heaviest].lanes
 
     @cached_property
     def planned_peaks(self) -> FloatArray:
         """(member, quantity, point) peaks along the planned flight [K]."""
-        return np.array([self._peaks_of(lanes) for lanes in self.lanes_of_members])
-
-    @cached_property
-    def parameter_places(self) -> list[list[ParameterPlace]]:
-        """Parameters of the points that each input changes, as the heaviest member has them; none for an input that
-        changes the flight, or in place of which the estimate stands."""
-        return self._parameter_places_of_members[self.heaviest]
-
-    @cached_property
-    def _parameter_places_of_members(self) -> list[list[list[ParameterPlace]]]:
-        return [
-            [
-                []
-                if i.name in FLIGHT_INPUTS
-                else [lanes.place_of(p, i.name) for p in self._points_of(i) if not member.replaces(p, i.name)]
-                for i in self.inputs
-            ]
-            for member, lanes in zip(self.drawn_members, self.lanes_of_members, strict=True)
-        ]
+        return np.array([self._planned_peaks(m.lanes) for m in self.marches])
 
     # Flying ----------------------------------------------------------------------------------------------------------
 
@@ -280,21 +238,20 @@ class DispersedEntry:
         deviation = deviations(self.inputs, z)
         flown = self.sampler.fly(self.inputs, [self.flight_deviations(row) for row in deviation])
         peaks = self.march(flown, deviation, z)
-        names = [p.point.name for p in self.points]
         least, most = peaks.extent[:, 0], peaks.extent[:, 1]
         return {
             "scramble": np.full(len(z), float(batch.scramble)),
             "flight": np.arange(batch.start, batch.stop, dtype=float),
             **{f"input.{label}": deviation[:, k] for k, label in enumerate(self.labels)},
-            **({"member": self.members_of(z).astype(float)} if self.has_members else {}),
+            **({"member": self.members.numbers(z[:, self.member_columns]).astype(float)} if self.spec.member else {}),
             "outcome": flown.outcome.astype(float),
             "end_s": flown.end_s,
             "untrimmed_s": flown.untrimmed_s,
             **{f"least.{v}": least[:, k] for k, v in enumerate(RATIO_VARIABLES)},
             **{f"most.{v}": most[:, k] for k, v in enumerate(RATIO_VARIABLES)},
-            **{f"negative.{n}": peaks.negative[:, k].astype(float) for k, n in enumerate(names)},
-            **{f"surface_K.{n}": peaks.surface_K[:, k] for k, n in enumerate(names)},
-            **{f"bondline_K.{n}": peaks.bondline_K[:, k] for k, n in enumerate(names)},
+            **{f"negative.{n}": peaks.negative[:, k].astype(float) for k, n in enumerate(self.point_names)},
+            **{f"surface_K.{n}": peaks.surface_K[:, k] for k, n in enumerate(self.point_names)},
+            **{f"bondline_K.{n}": peaks.bondline_K[:, k] for k, n in enumerate(self.point_names)},
         }
 
     def flight_deviations(self, deviation: FloatArray) -> dict[str, float]:
@@ -315,116 +272,16 @@ class DispersedEntry:
         keep      : receives for each point surface and bondline (time, 2 LANES) [K] and the conditions (LANES, time,
                     condition); None for none
         """
-        member = self.members_of(z)
-        parts = {
-            int(k): self._march_member(int(k), np.flatnonzero(member == k), flown, deviation, z, keep)
-            for k in np.unique(member)
-        }
-        order = np.argsort(np.concatenate([np.flatnonzero(member == k) for k in parts]))
-        return FlightPeaks(
-            *(np.concatenate([getattr(p, f.name) for p in parts.values()])[order] for f in fields(FlightPeaks))
-        )
-
-    def _march_member(
-        self,
-        number: int,
-        flights: IntArray,
-        flown: SampledFlights,
-        deviation: FloatArray,
-        z: FloatArray,
-        keep: list[tuple[FloatArray, FloatArray]] | None,
-    ) -> FlightPeaks:
-        """Peaks along those flights that have one member."""
-        member, lanes = self.drawn_members[number], self.lanes_of_members[number]
-        own = z[flights, self.member_columns][:, 1:]
-        changes = [
-            (entry, deviation[flights, k])
-            for k, entries in enumerate(self._parameter_places_of_members[number])
-            for entry in entries
-        ]
-        changes += [
-            (entry, change)
-            for p in range(len(self.points))
-            for name, change in member.deviations(p, own).items()
-            for entry in lanes.places_of_estimated(p, name)
-        ]
-        tables = [
-            table_factors(m, z[flights, c]) if m.shape[1] and not member.replaces_table(p) else None
-            for p, (m, c) in enumerate(zip(self.modes, self.mode_columns, strict=True))
-        ]
-        of_member = flown.chosen(flights)
-        # One flight a lane and one point a group: flights of a batch share their times, and tables and stacks differ by
-        # lane.
-        parts = [lanes.march(of_member, first, changes, tables, keep) for first in range(0, len(flights), LANES)]
-        return FlightPeaks(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FlightPeaks)))
-
-    def check(self) -> None:
-        """Check the inputs before any flight.
-
-        raises : InputError with one line a problem
-        """
-        require_pyarrow()
-        problems = []
-        for k, i in enumerate(self.inputs):
-            try:
-                self._check_input(i, k)
-            except InputError as error:
-                problems += [f"{self.study.path}, [dispersion], input {k + 1}: {line}" for line in error.problems]
-        if (label := repeated_name(self.labels)) is not None:
-            problems.append(f"{self.study.path}, [dispersion]: `{label}` is repeated; give it once")
-        if problems:
-            raise InputError(*problems)
-
-    def _check_input(self, i: DispersedInput, k: int) -> None:
-        low, high = (i.low, i.high) if i.sigma is None else (-LARGEST_SIGMAS * i.sigma, LARGEST_SIGMAS * i.sigma)
-        assert low is not None  # DispersedInput has either sigma or both ends
-        assert high is not None
-        for name in i.control_points or []:
-            self.study.vehicle.control_point(name)
-            if name not in (p.point.name for p in self.points):
-                raise InputError(f"`{i.name}`: `{name}` is not among the study's control points")
-        if i.name in FLIGHT_INPUTS:
-            self._check_flight_input(i, self.labels[k], low, high)
-            return
-        if i.name.startswith("ratio.") and i.name != "ratio.scale":
-            raise InputError(
-                f"`{i.name}` is not dispersed: the sigma of the ratio tables states their error; disperse `ratio.scale`"
-            )
-        for p in self._points_of(i):
-            self.lanes.place_of(p, i.name)  # it exists there
-        for model in (d.models[p] for d in self.drawn_members for p in self._points_of(i) if not d.replaces(p, i.name)):
-            definition, value = model.definition(i.name), model.value(i.name)
-            if not definition.lower <= value + low <= value + high <= definition.upper:
-                raise InputError(
-                    f"`{i.name}`: {value + low:g} to {value + high:g} leaves {definition.lower:g} to "
-                    f"{definition.upper:g} at {model.name}, by {LARGEST_SIGMAS:g} sigma; make it narrower, or uniform"
-                )
-
-    def _points_of(self, i: DispersedInput) -> list[int]:
-        return [
-            p for p, point in enumerate(self.points) if i.control_points is None or point.point.name in i.control_points
-        ]
-
-    def _check_flight_input(self, i: DispersedInput, label: str, low: float, high: float) -> None:
-        aero = self.sampler.aero
-        for value in (low, high):
-            spec = entry_with_deviations(self.sampler.base, self.inputs, {label: value})
-            aero.with_changes(
-                mass_kg=spec.vehicle.mass_kg, cg_fraction=spec.vehicle.cg_fraction, cm_shift=spec.vehicle.cm_shift
-            )
-            factors = [f for _, f in spec.dispersions.density_factor or ()]
-            initial = spec.initial
-            if i.name in ("aero.CN", "aero.CA"):
-                factors.append(1.0 + value)
-            if factors and min(factors) <= 0.0:
-                raise InputError(
-                    f"`{i.name}`: a deviation of {value:g} makes a factor of {min(factors):g}, which must be above 0; "
-                    "make the deviation smaller"
-                )
-            if initial is not None and not (initial.altitude_m > 0.0 and initial.velocity_m_s > 0.0):
-                raise InputError(
-                    f"`{i.name}`: a deviation of {value:g} leaves no altitude or no velocity; make it smaller"
-                )
+        own = z[:, self.member_columns]
+        member = self.members.numbers(own)
+        flights, parts = [np.flatnonzero(member == k) for k in range(len(self.marches))], []
+        for of_member, marched in zip(flights, self.marches, strict=True):
+            if len(of_member):
+                of_tables = [(m, z[of_member, c]) for m, c in zip(self.modes, self.mode_columns, strict=True)]
+                chosen = flown.chosen(of_member)
+                parts.append(marched.march(chosen, deviation[of_member], own[of_member, 1:], of_tables, keep))
+        order, peaks = np.argsort(np.concatenate(flights)), joined(parts)
+        return FlightPeaks(*(getattr(peaks, f.name)[order] for f in fields(FlightPeaks)))
 
 
 def require_pyarrow() -> None:

@@ -29,7 +29,6 @@ from sim_heating.base.kernels.block import LANES, TIME
 from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.progress import Progress
 from sim_heating.march.linearised import LinearMarch, Track
-from sim_heating.planning.dispersion.drawn_members import shares
 from sim_heating.planning.dispersion.entry import (
     AXES,
     BATCH,
@@ -43,6 +42,7 @@ from sim_heating.planning.dispersion.entry import (
     parquet_bytes,
 )
 from sim_heating.planning.dispersion.flight import COMPLETED
+from sim_heating.planning.dispersion.input_checks import check_inputs
 from sim_heating.planning.dispersion.march import QUANTITIES
 from sim_heating.planning.dispersion.spot_checks import SpotChecks, fly_with_both_sources, spot_checks
 from sim_heating.planning.dispersion.statistics import (
@@ -79,7 +79,7 @@ def disperse(
     raises  : InputError for inputs that cannot be dispersed; RunError where batches failed
     """
     entry = DispersedEntry(study)
-    entry.check()
+    check_inputs(entry)
     batches = batches_of(entry)
     jobs = [Job(batch.id, batch) for some in batches.values() for batch in some]
     outcome = run_batches(
@@ -200,13 +200,13 @@ def first_order(entry: DispersedEntry, columns: Columns) -> FirstOrder:
     # Sensitivities of the march replace the differences wherever an input changes parameters of a point alone.
     for quantity, point, column, exact in exact_slopes(entry):
         slope[quantity, point, column] = exact * scale[column]
-    if not entry.has_members:
+    if not entry.members.is_drawn:
         return FirstOrder(T[..., 0], slope)
     # Which member is true does not change by steps: it counts by the scatter of the planned flight between them.
-    share, planned = shares(entry.members), entry.planned_peaks
+    share, planned = entry.members.shares, entry.planned_peaks
     mean = np.tensordot(share, planned, 1)
     slope[..., entry.member_columns.start] = np.sqrt(np.tensordot(share, (planned - mean) ** 2, 1))
-    return FirstOrder(T[..., 0] + mean - planned[entry.heaviest], slope)
+    return FirstOrder(T[..., 0] + mean - planned[entry.members.heaviest], slope)
 
 
 def exact_slopes(entry: DispersedEntry) -> list[tuple[int, int, int, float]]:
@@ -236,7 +236,7 @@ def exact_slopes(entry: DispersedEntry) -> list[tuple[int, int, int, float]]:
 
 def _changing(entry: DispersedEntry, point: int) -> list[tuple[int, str]]:
     """Number and name of each input that changes a parameter of a point."""
-    entries = enumerate(entry.parameter_places)
+    entries = enumerate(entry.marches[entry.members.heaviest].places)
     return [(k, entry.inputs[k].name) for k, some in entries if any(of_input.point == point for of_input in some)]
 
 
@@ -495,7 +495,7 @@ def data_of(result: DispersionResult) -> dict[str, Any]:
 def members_of(result: DispersionResult) -> list[dict[str, Any]]:
     """Members of the set of estimates, with their weights and the number of flights that drew each; none without."""
     entry = result.entry
-    stated = member_data(entry.spec.member, entry.members)
+    stated = member_data(entry.spec.member, entry.estimates)
     return [m | {"flights": int(np.count_nonzero(result.columns["member"] == k))} for k, m in enumerate(stated)]
 
 

@@ -19,6 +19,7 @@ by itself, with correlated nodes (planning/ratio_table_modes.py).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -107,6 +108,10 @@ class DispersedInput(Declared):
         if self.low is None or self.high is None:
             return float(self.sigma or 0.0)
         return (self.high - self.low) / math.sqrt(12.0)
+
+    def points_of(self, names: Sequence[str]) -> list[int]:
+        """Numbers of the control points that it is of; names : of all points of the study."""
+        return [p for p, name in enumerate(names) if self.control_points is None or name in self.control_points]
 
     def describe(self, unit: str) -> tuple[str, str]:
         """Name and size of the input for tables and pictures, as ("mass", "sigma 400 kg").
