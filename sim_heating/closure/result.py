@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.files.text import listed
 from sim_heating.base.parameters import AT
 from sim_heating.closure.clues.correlation import ResidualEvidence
 from sim_heating.closure.clues.record_checks import DataFault
@@ -557,10 +558,6 @@ def _pooled(errors: Sequence[Mapping[str, float] | None]) -> dict[str, float] | 
         return None
     rmse = float(np.sqrt(sum(e["n"] * e["rmse_K"] ** 2 for e in stated) / count))
     return {"rmse_K": rmse, "max_abs_K": max(e["max_abs_K"] for e in stated), "n": int(count)}
-
-
-def listed(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def finding_alone(e: Evidence) -> str:

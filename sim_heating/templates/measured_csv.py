@@ -24,7 +24,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, display_path, plain_number, suggestion
 from sim_heating.base.files.csv_table import RUNS_BACK, runs_back
-from sim_heating.base.files.text import and_more_rows
+from sim_heating.base.files.text import and_more_rows, listed
 from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
@@ -351,7 +351,7 @@ def _tell_of_one_name(block: Block, columns: Sequence[CsvColumn], kinds: Sequenc
         used = [read[names[k]] for k in places if names[k] in read]
         if not used:
             continue
-        where = f"{display_path(block.path)}: columns {_listed([str(k + 1) for k in places])}"
+        where = f"{display_path(block.path)}: columns {listed([str(k + 1) for k in places])}"
         if not are_named and (twins := next(((a, b) for a, b in combinations(used, 2) if _read_alike(a, b)), None)):
             others = [c for c in read.values() if c.kind == TEMPERATURE and c is not twins[1]]
             options = " ".join(
@@ -361,14 +361,9 @@ def _tell_of_one_name(block: Block, columns: Sequence[CsvColumn], kinds: Sequenc
             raise InputError(
                 f"{where} are named `{name}`, {rule}; a sensor would count twice: name those that are read, {options}"
             )
-        given = _listed([f"`{names[k]}`" for k in places])
+        given = listed([f"`{names[k]}`" for k in places])
         count = f"read as {len(used)} sensors" if len(used) > 1 else f"`{used[0].name}` is read"
         warnings.warn(f"{where} are named `{name}`: {given} here, {count}", stacklevel=3)
-
-
-def _listed(words: Sequence[str]) -> str:
-    """`2, 3 and 5`."""
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _read_alike(a: CsvColumn, b: CsvColumn) -> bool:

@@ -162,6 +162,11 @@ def plain_number(text: str) -> float:
     return float(text)
 
 
+def listed(words: Sequence[str]) -> str:
+    """Words as a sentence has them: `2`, `2 and 3`, `2, 3 and 5`; at least one."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
 def abbreviated(value: Any) -> str:
     """A value for a message: on one line, cut after 60 characters."""
     text = json.dumps(value, default=str, ensure_ascii=False)

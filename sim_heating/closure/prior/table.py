@@ -32,6 +32,7 @@ from scipy.special import chdtrc
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.files.text import listed
 from sim_heating.base.parameters import MODEL, Parameter
 from sim_heating.closure.prior.flown_path import FlownPath, projection, record_path
 from sim_heating.closure.verdict.policy import POLICY
@@ -238,10 +239,10 @@ def _combination(
         return []
     k = int(np.argmax(np.abs(off)))
     order = np.argsort(-np.abs(vectors[:, k]))
-    listed = list(estimates)
-    members = [listed[i] for i in order if abs(vectors[i, k]) > named_component]
+    names = list(estimates)
+    members = [names[i] for i in order if abs(vectors[i, k]) > named_component]
     text = (
-        f"the table's {_listed([table_word(n) for n in members])} are off together "
+        f"the table's {listed([table_word(n) for n in members])} are off together "
         f"({abs(off[k]):.1f} sigma along their combination, each less by itself)"
     )
     return [TableFinding(text, {n: estimates[n] for n in members}, abs(float(off[k])), p_value)]
@@ -266,7 +267,3 @@ def table_word(name: str) -> str:
         return "magnitude"
     second = "second " if name.endswith("2") else ""
     return f"{second}{'-'.join(variables)} derivative"
-
-
-def _listed(items: Sequence[str]) -> str:
-    return " and ".join((", ".join(items[:-1]), items[-1])) if len(items) > 1 else items[0]

@@ -19,13 +19,14 @@ from matplotlib.figure import Figure
 
 from sim_heating.base.files import write_csv, write_json
 from sim_heating.base.files.package import package_version
+from sim_heating.base.files.text import listed
 from sim_heating.base.parameters import AT
 from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.report.record import p_value_cell, tell_apart_section
-from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone, finite, listed
+from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone, finite
 from sim_heating.closure.search.evidence import Evidence
 from sim_heating.closure.search.joint_model import RECORD
 from sim_heating.closure.search.trials.told_error import flight_as_json
