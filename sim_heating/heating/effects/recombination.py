@@ -61,16 +61,15 @@ def film_found(B: FloatArray, c: int) -> float:
 
 
 @njit
-def recombined_part(gamma: float, speed: float, rho_w: float, h_m: float) -> float:
-    """Part of the atoms brought to the wall that recombine there, phi = rho_w k_w / (rho_w k_w + h_m) [-].
+def atoms_left(rate: float, h_m: float) -> float:
+    """Part of the atoms brought to the wall that do not recombine there, 1 - phi = h_m / (rho_w k_w + h_m) [-].
 
-    gamma : recombination coefficient, part of the atoms that strike the wall which recombine [-]
-    speed : at which they strike it, sqrt(R_u T_w / (2 pi M)) [m/s];  rho_w : density of the gas at the wall [kg/m3]
-    h_m   : coefficient of mass transfer [kg/(m2 s)], above 0
+    rate : of recombination, rho_w k_w, with the density of the gas at the wall and the speed at which atoms strike it,
+           times the part of them that recombines [kg/(m2 s)]
+    h_m  : coefficient of mass transfer [kg/(m2 s)], above 0
     Source: Goulard (1958); docs/reference/effects.md, equation 26.
     """
-    rate = rho_w * gamma * speed
-    return rate / (rate + h_m)
+    return h_m / (rate + h_m)
 
 
 @njit
@@ -92,15 +91,15 @@ def recombination_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     h_O = min(h_D, HEAT_OF_OXYGEN)
     h_N = h_D - h_O
     moles = 1.0 + (OXYGEN / HEAT_OF_OXYGEN) * h_O + (NITROGEN / HEAT_OF_NITROGEN) * h_N
-    rho_w = B[c + flight.p_surface_Pa] / (moles * R_TABLE * wall_K)
-    h_m, inverse, root = LEWIS_2_3 * film, -1.0 / min(wall_K, B[p + HIGHEST]), math.sqrt(wall_K)
+    H_r, root = B[c + flight.H_r_J_kg], math.sqrt(wall_K)
+    per_driving = 1.0 / max(H_r - frozen_enthalpy(wall_K), LEAST_DRIVING * H_r)
+    # rho_w T_w^(1/2), so that no division waits for another one
+    flux = B[c + flight.p_surface_Pa] / (moles * R_TABLE * root)
+    h_m, inverse = LEWIS_2_3 * film, -1.0 / min(wall_K, B[p + HIGHEST])
     gamma_O = min(B[p + EFFICIENCY] * B[p + O_FACTOR] * exp(B[p + O_ACTIVATION] * inverse), 1.0)
     gamma_N = min(B[p + EFFICIENCY] * B[p + N_FACTOR] * exp(B[p + N_ACTIVATION] * inverse), 1.0)
-    phi_O = recombined_part(gamma_O, SPEED_O * root, rho_w, h_m)
-    phi_N = recombined_part(gamma_N, SPEED_N * root, rho_w, h_m)
-    H_r = B[c + flight.H_r_J_kg]
-    driving = max(H_r - frozen_enthalpy(wall_K), LEAST_DRIVING * H_r)
-    return 1.0 - ((1.0 - phi_O) * h_O + (1.0 - phi_N) * h_N) / driving
+    carried = h_O * atoms_left(gamma_O * SPEED_O * flux, h_m) + h_N * atoms_left(gamma_N * SPEED_N * flux, h_m)
+    return 1.0 - carried * per_driving
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
