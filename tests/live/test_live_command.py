@@ -387,6 +387,17 @@ def test_foreign_result_is_refused_before_any_message_is_taken(tmp_path, capsys,
     assert (out / name).read_text() == "mine"
 
 
+def test_a_file_in_the_place_of_the_records_is_refused_before_any_message_is_taken(tmp_path, capsys):
+    link, out = of_vehicle(tmp_path), tmp_path / "o"
+    out.mkdir()
+    (out / "records").write_text("mine")
+    for options in ([], ["--force"]):
+        told = the_error(capsys, "live", str(link), "--headless", "--out", str(out), *options)
+        assert "records: is a file in the place of a folder; move it away or choose another directory" in told
+    assert [p.name for p in out.iterdir()] == ["records"]
+    assert (out / "records").read_text() == "mine"
+
+
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("default:.*replaced live.json")
 def test_unwritable_results_leave_a_flight_that_can_go_on(tmp_path, capsys, monkeypatch):
