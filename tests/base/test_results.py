@@ -208,7 +208,7 @@ def test_a_symbolic_link_is_not_followed_to_replace_a_file(tmp_path: Path, monke
     run(out, a="1")
     shutil.move(out / "a", precious)
     (out / "a").symlink_to(precious)
-    with pytest.raises(InputError, match="^out/a: is a symbolic link"):
+    with pytest.raises(InputError, match=r"^out/a: is a symbolic link"):
         run(out, a="2")
     assert precious.read_text() == "1"
 

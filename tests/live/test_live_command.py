@@ -432,6 +432,9 @@ def test_another_link_file_does_not_go_on_with_a_flight(tmp_path, capsys):
     link.write_text(LINK + sensor.format("K"))
     told = the_error(capsys, "live", str(link), "--headless", "--out", str(out))
     assert 'was begun with another link: `sensor 1.unit` was "degF", now "K"' in told
+    assert main(["live", str(link), "--to-record", str(out), "--out", str(tmp_path / "k")]) == 0  # as it was asked for
+    told = " ".join(capsys.readouterr().out.split())
+    assert 'in another way than the link that wrote it: `sensor 1.unit` was "degF", now "K"' in told
     link.write_text(LINK.replace("[[source]]", '[[source]]\nkind = "jsbsim"\nport = 5501\n[[source]]'))
     told = the_error(capsys, "live", str(link), "--headless", "--out", str(out))
     assert "[[source]]: there were 1, now 2" in told
