@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 import xml.etree.ElementTree as ET
 from base64 import b64decode
@@ -25,7 +26,7 @@ from sim_heating.base.report.figure import (
 )
 from sim_heating.base.report.page import Picture
 from sim_heating.cli import main
-from tests.support.paths import TILE
+from tests.support.paths import ROOT, TILE
 
 NAMES = st.text(st.sampled_from("$\\^_{}%#&~<>'\"abfrc \x1b\u0394\u70ed"), min_size=1, max_size=12)
 
@@ -80,6 +81,21 @@ def test_a_picture_that_fails_is_replaced_by_its_reason(tmp_path: Path) -> None:
         undrawable(None, ValueError("no"))
     with pytest.raises(InputError, match="full"):  # a place that cannot be written is no fault of the picture
         undrawable(tmp_path / "a.png", InputError("full"))
+
+
+def test_no_picture_of_a_file_costs_the_results_of_its_command() -> None:
+    """Each function `draw_...(path, ...)` is replaced by its reason where it fails, and no helper of one is."""
+    replaced, drawing = set(), set()
+    for file in sorted((ROOT / "sim_heating").rglob("*.py")):
+        for function in ast.walk(ast.parse(file.read_text())):
+            if isinstance(function, ast.FunctionDef):
+                arguments = [a.arg for a in function.args.args]
+                if function.name.startswith("draw_") and arguments[:1] == ["path"]:
+                    drawing.add((file.name, function.name))
+                if any(ast.unparse(d) == replaced_if_undrawable.__name__ for d in function.decorator_list):
+                    replaced.add((file.name, function.name))
+    assert len(drawing) > 15
+    assert drawing == replaced
 
 
 def test_a_picture_of_a_page_that_fails_is_replaced_by_its_reason() -> None:

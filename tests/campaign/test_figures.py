@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, LeftOutWarning
 from sim_heating.base.report.figure import mark_beyond, new_figure
 from sim_heating.campaign.figures.flown import POPU, FlownData, LeftOut
 from sim_heating.campaign.figures.histories import axial_step
@@ -189,6 +189,17 @@ def test_a_flight_without_manoeuvres_gives_reasons(flight: CampaignFlight) -> No
     found = draw_figures([still], [4, 5, 8, 9, 10, 12, 14])
     assert not found.drawn
     assert all("no " in reason and reason.endswith("none at all") for reason in found.left_out.values())
+
+
+def test_a_figure_that_fails_costs_no_other_one(flight: CampaignFlight, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(_: FlownData) -> None:
+        raise ZeroDivisionError("an empty stretch")
+
+    monkeypatch.setitem(DRAWINGS, 2, failing)
+    with pytest.warns(LeftOutWarning, match="figure 2: left out"):
+        found = draw_figures([flight], [1, 2])
+    assert [f.number for f in found.drawn] == [1]
+    assert found.left_out == {2: "ZeroDivisionError: an empty stretch"}
 
 
 def test_what_the_command_refuses_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

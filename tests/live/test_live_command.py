@@ -387,6 +387,17 @@ def test_foreign_result_is_refused_before_any_message_is_taken(tmp_path, capsys,
     assert (out / name).read_text() == "mine"
 
 
+def test_a_file_in_the_place_of_the_records_is_refused_before_any_message_is_taken(tmp_path, capsys):
+    link, out = of_vehicle(tmp_path), tmp_path / "o"
+    out.mkdir()
+    (out / "records").write_text("mine")
+    for options in ([], ["--force"]):
+        told = the_error(capsys, "live", str(link), "--headless", "--out", str(out), *options)
+        assert "records: is a file in the place of a folder; move it away or choose another directory" in told
+    assert [p.name for p in out.iterdir()] == ["records"]
+    assert (out / "records").read_text() == "mine"
+
+
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("default:.*replaced live.json")
 def test_unwritable_results_leave_a_flight_that_can_go_on(tmp_path, capsys, monkeypatch):
@@ -421,6 +432,9 @@ def test_another_link_file_does_not_go_on_with_a_flight(tmp_path, capsys):
     link.write_text(LINK + sensor.format("K"))
     told = the_error(capsys, "live", str(link), "--headless", "--out", str(out))
     assert 'was begun with another link: `sensor 1.unit` was "degF", now "K"' in told
+    assert main(["live", str(link), "--to-record", str(out), "--out", str(tmp_path / "k")]) == 0  # as it was asked for
+    told = " ".join(capsys.readouterr().out.split())
+    assert 'in another way than the link that wrote it: `sensor 1.unit` was "degF", now "K"' in told
     link.write_text(LINK.replace("[[source]]", '[[source]]\nkind = "jsbsim"\nport = 5501\n[[source]]'))
     told = the_error(capsys, "live", str(link), "--headless", "--out", str(out))
     assert "[[source]]: there were 1, now 2" in told

@@ -208,18 +208,25 @@ def files_below(directory: Path) -> list[str]:
 
 
 def require_plain(target: Path, name: str) -> None:
-    """raises : InputError where a name leaves the directory, or a symbolic link stands on the way to the file"""
+    """Check that a file of this name can be written.
+
+    raises : InputError where the name leaves the directory, a symbolic link stands on the way to the file, or a file
+             stands where a folder is needed
+    """
     parts = PurePosixPath(name).parts
     if not parts or ".." in parts or PurePosixPath(name).is_absolute() or "\\" in name or "\0" in name:
         raise InputError(f"{display_path(target)}: `{name}` is not the name of a file in it; nothing was changed")
     path = target
-    for segment in parts:
+    for number, segment in enumerate(parts, start=1):
+        where = Path(display_path(path)) / segment  # of a link itself, not of what it leads to
         path /= segment
         if path.is_symlink():
             raise InputError(
-                f"{display_path(path)}: is a symbolic link, which is not followed to replace a file; remove it or "
+                f"{where}: is a symbolic link, which is not followed to replace a file; remove it or "
                 "choose another directory"
             )
+        if number < len(parts) and os.path.lexists(path) and not path.is_dir():
+            raise InputError(f"{where}: is a file in the place of a folder; move it away or choose another directory")
 
 
 # After a kill -------------------------------------------------------------------------------------------------------

@@ -13,8 +13,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import ArrayLike
 
 from sim_heating.base.files import write_csv
-from sim_heating.base.files.text import write_bytes_atomic
-from sim_heating.base.report.figure import DPI, picture_file, save_figure
+from sim_heating.base.report.figure import DPI, picture_file, replaced_if_undrawable, save_figure, write_content
 
 PAD_INCH = 0.1
 """Empty rim about the axes: at another resolution texts are a little wider."""
@@ -74,10 +73,16 @@ class PaperFigure:
 
     def write(self, folder: Path) -> None:
         """Write the picture and its data into a folder."""
-        write_bytes_atomic(folder / f"{self.stem}.png", picture_file(self.figure, "png", dpi=DPI))
+        draw_paper_figure(folder / f"{self.stem}.png", self.figure)
         for suffix, columns in self.tables.items():
             header = {"figure": self.number, "title": self.title}
             write_csv(folder / self._csv(suffix), columns, ".8g", header)
+
+
+@replaced_if_undrawable
+def draw_paper_figure(path: Path, figure: Figure) -> None:
+    """Draw a figure that is laid out."""
+    write_content(path, picture_file(figure, "png", dpi=DPI))
 
 
 def finished(

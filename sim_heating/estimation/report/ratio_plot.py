@@ -90,7 +90,6 @@ def plot_flight(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray) ->
     a.plot(x, ratio, color=FLOWN, linestyle="--", linewidth=1.6, label="flight estimate")
 
 
-@replaced_if_undrawable
 def _panels(count: int) -> tuple[Figure, NDArray[Any]]:
     """A figure with so many panels of the heating ratio, (row, column), in rows of COLUMNS at most."""
     columns = min(count, COLUMNS)
@@ -103,6 +102,7 @@ def _panels(count: int) -> tuple[Figure, NDArray[Any]]:
     return figure, axes
 
 
+@replaced_if_undrawable
 def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
     """Draw declared table and flight estimate of a record's control point, a panel for each derivative.
 

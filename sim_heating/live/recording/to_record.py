@@ -27,6 +27,7 @@ from sim_heating.live.filtering.clock_judge import BRIDGED_S
 from sim_heating.live.filtering.heated_start import start_of_heated
 from sim_heating.live.filtering.timeline import Placed, Timeline
 from sim_heating.live.recording.journal import damage_of, journal_file, read_head, read_journal
+from sim_heating.live.recording.same_link import differences, meaning
 from sim_heating.live.sources import decoder_of
 from sim_heating.live.sources.decoder import message_of
 from sim_heating.live.sources.mapping import FieldMapping
@@ -255,12 +256,13 @@ def to_record(
     returns : records by control point, and one line for each thing that was left out
     raises  : InputError where the journal holds no record
     """
+    apart: list[str] = []
     if link is None:
         link = link_of(journal, root=root)
     else:
-        _check_sources(journal, link)
+        apart = _checked_sources(journal, link)
     longest, notes = longest_stretch(samples_of(journal, link), link)
-    notes = [*damage_of(journal), *notes]
+    notes = [*apart, *damage_of(journal), *notes]
     records = records_of(link, longest)
     for point in link.points:
         read = records[point.name].sensors if point.name in records else []
@@ -272,12 +274,17 @@ def to_record(
     return records, notes
 
 
-def _check_sources(journal: str | os.PathLike[str], link: Link) -> None:
-    """Refuse a link whose sources are not those that a journal is of; one whose header is damaged does not tell."""
+def _checked_sources(journal: str | os.PathLike[str], link: Link) -> list[str]:
+    """A line where a link reads messages in another way than the one that wrote a journal; one of other sources is
+    refused.
+
+    A journal whose header is damaged does not tell.
+    """
     try:
-        declared = read_head(journal).link.get("source") or []
+        head = read_head(journal)
     except InputError:
-        return
+        return []
+    declared = head.link.get("source") or []
     kinds = [
         ["json-lines" if k == "replay" else k for k in sources]
         for sources in (
@@ -290,6 +297,10 @@ def _check_sources(journal: str | os.PathLike[str], link: Link) -> None:
             f"{display_path(link.path)}: its sources ({', '.join(kinds[1])}) are not those of "
             f"{display_path(journal_file(journal))} ({', '.join(kinds[0])}); name the link that wrote it, or none"
         )
+    now = link.declared.model_dump(mode="json", exclude_unset=True), meaning(link)
+    apart = [] if head.sent_again else differences((head.link, head.means), now)
+    name = display_path(link.path)
+    return [f"{name}: reads the journal in another way than the link that wrote it: {'; '.join(apart)}"] * bool(apart)
 
 
 def write_records(

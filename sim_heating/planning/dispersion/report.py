@@ -269,7 +269,6 @@ def _distribution(ax: Axes, row: int, peak: PeakStatistics, values: np.ndarray, 
         ax.plot([peak.limit, peak.limit], [row - 0.42, row + 0.42], color="k", linewidth=1.6)
 
 
-@replaced_if_undrawable
 def _draw_quantile(axes: Axes, y: float, counted: Any, first: Mapping[str, Any]) -> None:
     """Draw a quantile to first order less the counted one [K], on the bounds of that one."""
     if counted.value is None:
@@ -280,6 +279,7 @@ def _draw_quantile(axes: Axes, y: float, counted: Any, first: Mapping[str, Any])
     axes.plot(first["difference_K"], y, markersize=5, linestyle="none", **(HOLDS if first["holds"] else FAILS))
 
 
+@replaced_if_undrawable
 def draw_first_order(path: Path, title: str, result: DispersionResult) -> None:
     """Draw first-order quantiles less those counted [K], on the bounds of the counted ones."""
     figure, axes = new_figure(11.0, 2.2 + 0.5 * len(result.entry.points), 1, 2, sharey=True)
