@@ -17,9 +17,11 @@ SPELLINGS = {
     ("K", 527.67, 293.15): ("R", "(deg R)", "degR", "°R", "Rankine"),
     ("W/m2", 1.0, 11356.5283): (
         "BTU/ft2-s", "BTU/ft2/s", "Btu/ft^2-sec", "BTU/ft²·s", "BTU/(ft2 s)", "(BTU/ft2 s)", "BTU per sq. ft per s",
+        "BTU per square foot per second",
     ),
     ("W/m2", 1.0, 3.1545911857): ("BTU/hr-ft2", "BTU/ft2-hr"),
-    ("W/m2", 900.0, 900.0): ("W m-2", "W per sq. m", "W/m2", "W/m^2", "W/m²", "W·m⁻²", "W/sq m", "Watts/m2", "W*m^-2"),
+    ("W/m2", 900.0, 900.0): ("W m-2", "W per sq. m", "W/m2", "W/m^2", "W/m²", "W·m⁻²", "W/sq m", "Watts/m2", "W*m^-2",
+                           "W per square meter", "W/square metre"),
     ("W/m2", 2.0, 20000.0): ("W/cm2", "W/cm^2", "W per sq. cm"),
     ("W/(m2.K)", 8.0, 8.0): ("W/m2K", "W/m2 K", "W/m2-K", "W/(m2.K)", "W/m²·K", "W/m2C", "W/(m2 °C)"),
     ("m", 10.0, 2.54e-4): ("mil", "mils", "thou"),
