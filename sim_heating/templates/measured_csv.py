@@ -108,6 +108,8 @@ CHANNEL = r"(?i)(?:chan(nel)?|ch|kanal|sensor(?=.))[ _]?(#|no\.?|nr\.?|number|id
 """Pattern of the name of a column of numbers of channels."""
 NO_READING = r"(?i)alarm|status|flag|valid|quality|batt|volt|humid|^rh|counter"
 """Pattern of the names of columns that accompany readings."""
+FREE_STREAM = r"(?i)T_?inf(ty|inity)?|T_?\u221e|(?:free.?stream|static|total)[ _-]?(?:air[ _-]?)?temp(?:erature)?"
+"""Pattern of the name of a temperature of the flow, which is no sensor of the wall."""
 LOST_WORD = re.compile(r"(?i)#?n/?an?|null|none|ov?l|over\w*|open(?: tc| circuit)?|fault|err(?:or)?|[+-]?inf|-+|\*+")
 """What loggers write in place of a reading that is lost."""
 UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigma|uncertainty|stdev|std)$"
@@ -684,6 +686,8 @@ def _kind_of(head: _Head) -> tuple[str, str, str]:
     for pattern, meaning in ((UNCERTAIN, "an uncertainty"), (DIFFERENCE, "a difference")):
         if re.search(pattern, name):
             return UNUSED, "", f"{meaning}, by its name"
+    if re.fullmatch(FREE_STREAM, name):
+        return UNUSED, unit, "a temperature of the flow, by its name"
     if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
         return UNUSED, "", "a counter, by its name"
     if re.fullmatch(CHANNEL, name) and by_unit == UNUSED and _are_channels(head.numbers.values):

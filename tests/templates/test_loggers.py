@@ -1420,3 +1420,10 @@ def test_a_burnt_out_sensor_is_kept_and_one_without_a_reading_told() -> None:
         ("TC1", 30),
         ("TC2", 3),
     ]
+
+
+def test_the_air_of_a_flight_is_no_sensor_of_its_wall() -> None:
+    rows("time_s,T_inf_K,p_surface_Pa,TC1_K", [f"{2 * i},{227 - i},{3000 + 7 * (i % 3)},{300 + i}" for i in range(9)])
+    read = read_measured_csv(Path("t.csv"))
+    assert [c.name for c in read.of_kind(TEMPERATURE)] == ["TC1"]
+    assert [c.name for c in read_measured_csv(Path("t.csv"), temperatures=("T_inf",)).of_kind(TEMPERATURE)] == ["T_inf"]
