@@ -11,9 +11,9 @@ SPELLINGS = {
     ("K", 293.15, 293.15): ("K", "kelvin", "Kelvin", "°K", "deg K", "k"),
     ("K", 20.0, 293.15): (
         "C", "(deg. C)", "Deg C", "DEG C", "degC", "deg_C", "°C", "ºC", "℃", "*C", "?C", "Â°C", "\ufffdC", "[°C]",
-        "celsius", "degrees Celsius", "°C (LGR S/N: 1, SEN S/N: 1)",
+        "celsius", "degrees Celsius", "oC", "°C (LGR S/N: 1, SEN S/N: 1)",
     ),
-    ("K", 68.0, 293.15): ("F", "(deg. F)", "°F", "degF", "Deg F", "Fahrenheit", "°F (LGR S/N: 1, SEN S/N: 1)"),
+    ("K", 68.0, 293.15): ("F", "oF", "(deg. F)", "°F", "degF", "Deg F", "Fahrenheit", "°F (LGR S/N: 1, SEN S/N: 1)"),
     ("K", 527.67, 293.15): ("R", "(deg R)", "degR", "°R", "Rankine"),
     ("W/m2", 1.0, 11356.5283): (
         "BTU/ft2-s", "BTU/ft2/s", "Btu/ft^2-sec", "BTU/ft²·s", "BTU/(ft2 s)", "(BTU/ft2 s)", "BTU per sq. ft per s",

@@ -43,7 +43,7 @@ WORDS = {
 """Words in small letters -> the name that pint knows, whatever the letters are in the file."""
 SIGNS = {
     "mbara": "mbar", "mBar": "mbar", "mTorr": "mtorr", "k": "K", "S": "s", "mil": "thou", '"': "inch",
-    "\u2103": "degC", "\u2109": "degF",
+    "\u2103": "degC", "\u2109": "degF", "oC": "degC", "oF": "degF",
 }  # fmt: skip
 LETTERS = {"C": "degC", "c": "degC", "F": "degF", "f": "degF", "R": "degR", **SIGNS}
 """Short names that pint takes for another unit, a charge, a capacity, a gas constant or an angle, or does not know."""
