@@ -25,7 +25,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, display_path, plain_number, suggestion
 from sim_heating.base.files.csv_table import RUNS_BACK, runs_back
 from sim_heating.base.files.text import and_more_rows, listed
-from sim_heating.base.files.units import converted, name_and_unit
+from sim_heating.base.files.units import converted, known_unit, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
 from sim_heating.heating.recorded.cells.block import Block
@@ -77,6 +77,7 @@ from sim_heating.templates.quantities import quantity
 UNUSED = "not used"
 """Kind of a column that is none of those of a layout."""
 SAYS_NOTHING = "name and unit say nothing"
+FEW_NUMBERS, NO_CELLS = "most cells hold no number", "all cells are empty"
 UNIT_KEYS = {TIME: "time_unit", TEMPERATURE: "temperature_unit", FLUX: "flux_unit"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
@@ -107,6 +108,10 @@ CHANNEL = r"(?i)(?:chan(nel)?|ch|kanal|sensor(?=.))[ _]?(#|no\.?|nr\.?|number|id
 """Pattern of the name of a column of numbers of channels."""
 NO_READING = r"(?i)alarm|status|flag|valid|quality|batt|volt|humid|^rh|counter"
 """Pattern of the names of columns that accompany readings."""
+FREE_STREAM = r"(?i)T_?inf(ty|inity)?|T_?\u221e|(?:free.?stream|static|total)[ _-]?(?:air[ _-]?)?temp(?:erature)?"
+"""Pattern of the name of a temperature of the flow, which is no sensor of the wall."""
+LOST_WORD = re.compile(r"(?i)#?n/?an?|null|none|ov?l|over\w*|open(?: tc| circuit)?|fault|err(?:or)?|[+-]?inf|-+|\*+")
+"""What loggers write in place of a reading that is lost."""
 UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigma|uncertainty|stdev|std)$"
 """Pattern of the names of columns that hold the uncertainty of others."""
 DIFFERENCE = r"(?i)(^|[^a-z])(delta|diff(erence)?|rise|change)([^a-z]|$)|[Δ∆]|^d[Tt]([^a-z].*)?$"
@@ -123,8 +128,11 @@ FACTOR = r"(?i)(.*?) ?([x*\u00d7] ?10+)"
 """Pattern of a name that ends in the factor of its numbers, which is a part of its unit."""
 REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|avg|smp|min|max|last|ave\.?"
 """What stands in brackets and is no unit: time zones, layouts of clocks, how samples were reduced."""
-RAW = r"(?i)(.+?)[_ ]((?:[muµ]v|volts?|[mk]?ohms?|ma|counts?|cts|raw|adc|bits?|deg))"
-"""Pattern of a name that ends in the unit of a signal, which is no temperature yet."""
+RAW = (
+    r"(?i)(.+?)[_ ]([muµ]v|volts?|[mk]?ohms?|ma|counts?|cts|raw|adc|bits?|deg|[hkm]?pa|m?bara?|psia?|torr)",
+    r"(?i)(.*(?:lamp|flux).*?)[_ ]([km]?w|v|a|%|percent)",
+)
+"""Patterns of names that end in the unit of a signal, of a pressure, or of a lamp's supply, which is no temperature."""
 ROOM_K, ROOM_C = (278.15, 313.15), (5.0, 40.0)
 """First readings that are taken for those of a room, in K and in degC, where no unit is stated."""
 UNIX_S, LABVIEW_S = (9.4e8, 2.9e9), (3.0e9, 4.3e9)
@@ -221,6 +229,12 @@ class MeasuredCsv:
         heads = [Column("row"), *(Column(f"{c.name} [{SI_UNITS[c.kind]}]", format=".6g") for c in used)]
         shown = [(str(self.rows[i]), *(float(c.si[i]) for c in used)) for i in range(min(SHOWN_ROWS, len(self.rows)))]
         return Table("First rows as read", heads, shown)
+
+    def name_of(self, text: str) -> str:
+        """The name of the column that a text names with its unit, `TC1` for `TC1 (C)`; another text as it is."""
+        bare, _ = name_and_unit(text, list(SI_UNITS.values()))
+        names = {c.name for c in self.columns}
+        return bare if text not in names and bare in names else text
 
     def line(self, row: int) -> str:
         """`file, row 14`, the row as an editor counts it."""
@@ -334,6 +348,7 @@ def read_measured_csv(
     measured = _with_distinct_times(measured, chosen)
     _warn_of_guesses(measured, kinds)
     if TEMPERATURE in kinds:
+        _warn_of_silent_sensors(measured)
         _name_far_off(measured)
     return measured
 
@@ -566,7 +581,7 @@ def _bare_names_and_units(block: Block) -> tuple[list[str], list[str]]:
         in_brackets, is_time = re.search(r"[\[(<,/]", head), re.search(HEADS[0][1], name)
         if unit_in_name and not in_brackets and not is_time and converted(unit_in_name, "s"):
             name, unit_in_name = head, ""  # T_s is a surface, and no time
-        if not unit_in_name and (raw := re.fullmatch(RAW, name)):
+        if not unit_in_name and (raw := next(filter(None, (re.fullmatch(p, name) for p in RAW)), None)):
             name, unit_in_name = raw[1], raw[2]
         if factor := re.fullmatch(FACTOR, name):
             name, unit_in_name = factor[1], f"{unit_in_name} {factor[2]}".strip()
@@ -671,6 +686,8 @@ def _kind_of(head: _Head) -> tuple[str, str, str]:
     for pattern, meaning in ((UNCERTAIN, "an uncertainty"), (DIFFERENCE, "a difference")):
         if re.search(pattern, name):
             return UNUSED, "", f"{meaning}, by its name"
+    if re.fullmatch(FREE_STREAM, name):
+        return UNUSED, unit, "a temperature of the flow, by its name"
     if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
         return UNUSED, "", "a counter, by its name"
     if re.fullmatch(CHANNEL, name) and by_unit == UNUSED and _are_channels(head.numbers.values):
@@ -678,6 +695,8 @@ def _kind_of(head: _Head) -> tuple[str, str, str]:
     may_be_a_minimum = (by_unit, by_name) == (TIME, TEMPERATURE) and unit.strip().lower() == "min"
     if by_unit != UNUSED and not may_be_a_minimum:
         return by_unit, unit, head.emf or f"unit {unit}"
+    if unit and (converted(unit, "Pa") or (by_name == FLUX and known_unit(unit))):
+        return UNUSED, "", f"unit {unit}, of another quantity"
     if by_name == UNUSED:
         return UNUSED, "", SAYS_NOTHING
     if by_name != TIME and re.search(NO_READING, name):
@@ -741,9 +760,10 @@ def _reason_of_few_numbers(head: _Head) -> str:
     count = int(np.count_nonzero(np.isfinite(head.numbers.values)))
     full = len(head.cells) - head.cells.count("")
     named = {kind for kind, pattern in HEADS if re.search(pattern, head.name)}
-    if (count and 2 * count >= full) or TIME in named or (named and head.numbers.torn >= 0):
+    is_burnt_out = count and named and all(LOST_WORD.fullmatch(text) for text in head.numbers.texts)
+    if (count and 2 * count >= full) or TIME in named or is_burnt_out or (named and head.numbers.torn >= 0):
         return ""
-    return "most cells hold no number" if full else "all cells are empty"
+    return FEW_NUMBERS if full else NO_CELLS
 
 
 def _emf_as_temperature(block: Block, heads: list[_Head], chosen: LoggerLayout) -> tuple[list[_Head], str]:
@@ -932,9 +952,9 @@ def _clock_time(
     seconds, notes = clock.seconds, []
     _require_times(block, head, seconds)
     if clock.day_s is None:
-        seconds, nights = over_midnight(seconds)
-        if nights:
-            notes.append(f"`{head.name}` passes midnight {nights} times: a day is added at each")
+        seconds, note = over_midnight(clock)
+        if note:
+            notes.append(f"`{head.name}` {note}")
     first = float(seconds[np.flatnonzero(np.isfinite(seconds))[0]])
     zero = first if clock.day_s is None else None if ANY_ORDER in clock.layout else clock.day_s + first
     t = np.round(seconds - first, 6)
@@ -972,8 +992,8 @@ def _number_time(
         )
     _require_times(block, head, values)
     stated = head.unit
-    if not stated and converted(head.name, "s") is not None and len(head.name) > 1:
-        stated = head.name
+    if not stated and re.search(HEADS[1][1], head.name) and converted(head.name, "s") is not None:
+        stated = head.name  # `millis`, not `uhr`, which a parser of units takes for micro-hours
     time_unit, guess, reason = _unit_of_time(block, head, column, stated, chosen)
     scale = converted(time_unit, "s")
     assert scale is not None
@@ -1240,7 +1260,7 @@ def _guessed(block: Block, columns: list[CsvColumn], kinds: Sequence[str]) -> li
         odd = next((n for n, x in starts.items() if not ROOM_C[0] <= x <= ROOM_C[1]), next(iter(starts)))
         raise InputError(
             f"{display_path(block.path)}, column {odd}: begins at {starts[odd]:g}, in no unit that is known; state it, "
-            "--temperature-unit degC"
+            "--temperature-unit degC, or name the columns that are read, --temperature COLUMN"
         )
     return [_with_guess(c, unit, starts.get(c.name)) if c in open_ else c for c in columns]
 
@@ -1266,6 +1286,15 @@ def _warn_of_guesses(measured: MeasuredCsv, kinds: Sequence[str]) -> None:
     for guess, names in guesses.items():
         named = f"column{'s' if len(names) > 1 else ''} {', '.join(names)}"
         warnings.warn(f"{display_path(measured.path)}, {named}: {guess}", stacklevel=3)
+
+
+def _warn_of_silent_sensors(measured: MeasuredCsv) -> None:
+    """Warn of columns that are temperatures by their names and hold no reading at all."""
+    silent = [c for c in measured.columns if c.reason in (FEW_NUMBERS, NO_CELLS) and not np.any(np.isfinite(c.values))]
+    names = [c.name for c in silent if _kind_by_name(c.name) == TEMPERATURE]
+    if names:
+        named = f"column{'s' if len(names) > 1 else ''} {', '.join(names)}"
+        warnings.warn(f"{display_path(measured.path)}, {named}: not used, no cell holds a reading", stacklevel=3)
 
 
 def _with_guess(column: CsvColumn, unit: str, start: float | None) -> CsvColumn:

@@ -22,7 +22,7 @@ from sim_heating.heating.recorded.layout import read_fields
 from sim_heating.inputs.record import load_record
 from sim_heating.templates.loggers.layout_file import read_layout, write_layout
 from sim_heating.templates.loggers.readings import far_off
-from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, MeasuredCsv, read_measured_csv
+from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, UNUSED, MeasuredCsv, read_measured_csv
 from tests.support.verification.loggers import LOGGERS, READ
 from tests.templates.test_new_record import refused, run
 
@@ -1341,3 +1341,89 @@ def test_probes_of_openfoam_are_sensors_at_their_places() -> None:
     Path("U").write_text(head + "   0   (1 0 0)   (2 0 0)\n")
     with pytest.raises(InputError, match=r"^U, row 5: .* is not a time and one number for each of 2 probes"):
         read_measured_csv(Path("U"))
+
+
+PLATE = ("--layer", "copper 3 mm", "--emissivity", "0.9", "--out", "plate")
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        ("lamp (V)", "`V` is not a unit of heat flux"),
+        ("lamp_V", "`V` is not a unit of heat flux"),
+        ("wall (degF)", "`degF` is not a unit of heat flux"),
+    ],
+)
+def test_a_lamp_of_another_quantity_is_refused(column: str, said: str) -> None:
+    """Neither volts nor temperatures are a flux in kW/m2."""
+    rows(f"time (s),TC (C),{column}", [f"{2 * i},{20 + i},{68 + i}" for i in range(9)])
+    named = re.split(r" \(|_", column)[0]
+    assert said in refused("new", "record", "--csv", "t.csv", *PLATE, "--depth", "TC=back", "--lamp", named)
+
+
+def test_a_column_without_a_word_of_flux_is_the_lamp_where_it_is_named() -> None:
+    rows("time (s),TC (C),foo", [f"{2 * i},{20 + i},{18}" for i in range(9)])
+    assert run("new", "record", "--csv", "t.csv", *PLATE, "--depth", "TC=back", "--lamp", "foo").exit_code == 0
+    assert np.all(load_record(Path("plate")).conditions["q_add_W_m2"] == 18e3)
+
+
+def test_depths_and_lamp_are_named_as_in_the_file() -> None:
+    rows("time (s),Chan 101 (C),Heat Flux (W m-2)", [f"{2 * i},{20 + i},900" for i in range(9)])
+    options = ("--depth", "Chan 101 (C)=back", "--lamp", "Heat Flux (W m-2)")
+    assert run("new", "record", "--csv", "t.csv", *PLATE, *options).exit_code == 0
+    assert np.all(load_record(Path("plate")).conditions["q_add_W_m2"] == 900.0)
+
+
+@pytest.mark.parametrize("column", ["p_surface_Pa", "sensor_psi", "surface (mbar)", "lamp_kW", "lamp (V)"])
+def test_pressures_and_supplies_beside_a_thermocouple_are_no_readings_of_it(column: str) -> None:
+    rows(f"time (s),TC (C),{column}", [f"{2 * i},{20 + i},{4000 + 7 * (i % 3)}" for i in range(9)])
+    assert [c.name for c in read_measured_csv(Path("t.csv")).columns if c.kind != UNUSED] == ["time", "TC"]
+
+
+def test_the_symbol_of_a_quantity_over_its_unit_is_a_name() -> None:
+    rows("t/(s),T/(K),q/(W/m2)", [f"{2 * i},{300 + i},900" for i in range(9)])
+    read = read_measured_csv(Path("t.csv"))
+    assert [(c.name, c.unit) for c in read.columns] == [("t", "s"), ("T", "K"), ("q", "W/m2")]
+
+
+def test_a_name_that_only_a_parser_takes_for_a_unit_states_none() -> None:
+    """`uhr`, German for o'clock, is no micro-hour."""
+    rows("uhr,TC (C)", [f"{2 * i},{20 + i}" for i in range(9)])
+    assert span_s(read_measured_csv(Path("t.csv"), time="uhr")) == 16.0
+
+
+def test_minutes_and_seconds_go_on_over_the_hour() -> None:
+    """As spreadsheets show them, without hours."""
+    rows("Time,TC (C)", [f"{(59 + (50 + 2 * i) // 60) % 60:02d}:{(50 + 2 * i) % 60:02d}.5,{20 + i}" for i in range(9)])
+    read = read_measured_csv(Path("t.csv"))
+    assert span_s(read) == 16.0
+    assert read.notes == ("`Time` passes the hour 1 times: an hour is added at each",)
+
+
+@pytest.mark.parametrize("blank", ["\u00a0", "\u202f"])
+def test_blanks_of_thousands_separate_no_columns(blank: str) -> None:
+    Path("t.csv").write_text(
+        "Temps (s);TC (C)\n" + "".join(f"{2 * i};1{blank}0{10 + i},50\n" for i in range(9)), encoding="utf-8"
+    )
+    read = read_measured_csv(Path("t.csv"))
+    assert (span_s(read), *range_K(read)) == pytest.approx((16.0, 1283.65, 1291.65))
+
+
+def test_a_burnt_out_sensor_is_kept_and_one_without_a_reading_told() -> None:
+    rows(
+        "time (s),TC1 (C),TC2 (C),TC3 (C)",
+        [f"{2 * i},{20 + i},{20 + i if i < 3 else 'Open TC'},Open TC" for i in range(30)],
+    )
+    with pytest.warns(UserWarning, match=r"^t\.csv, column TC3: not used, no cell holds a reading$"):
+        read = read_measured_csv(Path("t.csv"))
+    assert [(c.name, np.count_nonzero(np.isfinite(c.values))) for c in read.of_kind(TEMPERATURE)] == [
+        ("TC1", 30),
+        ("TC2", 3),
+    ]
+
+
+def test_the_air_of_a_flight_is_no_sensor_of_its_wall() -> None:
+    rows("time_s,T_inf_K,p_surface_Pa,TC1_K", [f"{2 * i},{227 - i},{3000 + 7 * (i % 3)},{300 + i}" for i in range(9)])
+    read = read_measured_csv(Path("t.csv"))
+    assert [c.name for c in read.of_kind(TEMPERATURE)] == ["TC1"]
+    assert [c.name for c in read_measured_csv(Path("t.csv"), temperatures=("T_inf",)).of_kind(TEMPERATURE)] == ["T_inf"]

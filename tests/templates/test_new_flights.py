@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -195,6 +196,18 @@ def test_altitudes_in_feet_in_a_column_of_metres_are_told():
     Path("made/conditions.csv").write_text("\n".join(map(",".join, rows)) + "\n")
     with pytest.raises(InputError, match=r"looks like ft: p_inf_Pa there is .* name the column `altitude_ft`"):
         load_record("made")
+
+
+@pytest.mark.parametrize(("name", "of_us76"), [("p_inf_Pa", 1), ("rho_kg_m3", 2)])
+def test_altitudes_in_feet_are_told_before_air_at_them_is_derived(name: str, of_us76: int) -> None:
+    """At 45 km, whose feet are those of the thermosphere, where the air that is derived would be 300 K hotter."""
+    z_m = 45e3 - 100.0 * np.arange(9)
+    of_day = us76(z_m)[of_us76]
+    lines = [f"{i},{z / 0.3048:.1f},2000,5,{x:.6g}" for i, (z, x) in enumerate(zip(z_m, of_day, strict=True))]
+    Path("flight.csv").write_text("\n".join([f"time_s,altitude_m,velocity_m_s,alpha_deg,{name}", *lines]) + "\n")
+    made = record("--conditions", "flight.csv", *SPHERE)
+    said = rf"^flight\.csv, row 2, .* looks like ft: {name} there is .* at 45000 m"
+    assert re.search(said, str(made.exception))
 
 
 # Scenarios ------------------------------------------------------------------------------------------------------------

@@ -43,7 +43,7 @@ WORDS = {
 """Words in small letters -> the name that pint knows, whatever the letters are in the file."""
 SIGNS = {
     "mbara": "mbar", "mBar": "mbar", "mTorr": "mtorr", "k": "K", "S": "s", "mil": "thou", '"': "inch",
-    "\u2103": "degC", "\u2109": "degF",
+    "\u2103": "degC", "\u2109": "degF", "oC": "degC", "oF": "degF",
 }  # fmt: skip
 LETTERS = {"C": "degC", "c": "degC", "F": "degF", "f": "degF", "R": "degR", **SIGNS}
 """Short names that pint takes for another unit, a charge, a capacity, a gas constant or an angle, or does not know."""
@@ -133,7 +133,7 @@ def _plain(name: str) -> str:
     for pattern, plain in SPELLINGS:
         text = re.sub(pattern, plain, text)
     text = DEGREES.sub(lambda match: SCALES[match[1][0].lower()], text.translate(SUPERSCRIPTS).replace("²", "2"))
-    text = re.sub(r"(?i)(?<![a-z])(?:sq\.? *|square +)([a-z]+)", r"\g<1>2", text)
+    text = re.sub(r"(?i)(?<![a-z])(?:square +|sq\.? *)([a-z]+)", r"\g<1>2", text)
     text = re.sub(r"(?i)(?<![a-z])(?:cu\. *|cu +|cubic +)([a-z]+)", r"\g<1>3", text)
     text = re.sub(r"(?i) +per +", "/", text)
     text = re.sub(r"(?i)\b(sec|mins?|hrs?|in|ft)\.(?=$|[ /)])", r"\1", text)
@@ -237,7 +237,7 @@ def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
     for pattern in STATED:
         match = re.fullmatch(pattern, head)
         if match and not (is_inside and known_unit(match[2].strip()) is None) and not match[2].strip().isdigit():
-            return match[1].strip(), match[2].strip()
+            return match[1].rstrip("/ ").strip(), match[2].strip()
     if inside and is_inside:
         return f"{inside[1]} {inside[3].lstrip(', ')}".strip(), inside[2]
     if ended := _name_and_ending(head, quantities):

@@ -269,7 +269,7 @@ def _counted_s(clock: Clock) -> FloatArray:
     """Times of a clock from the earliest row [s], also over midnight where it states no date."""
     from sim_heating.heating.recorded.cells.clocks import over_midnight
 
-    seconds = over_midnight(clock.seconds)[0] if clock.day_s is None else clock.seconds
+    seconds = over_midnight(clock)[0] if clock.day_s is None else clock.seconds
     return np.round(seconds - np.nanmin(seconds), 6)
 
 

@@ -25,6 +25,7 @@ from sim_heating.base.limits import LIMITS
 from sim_heating.heating.recorded.derive import derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit, field_of_name
 from sim_heating.heating.recorded.layout import DERIVABLE, FlightFields, read_fields
+from sim_heating.heating.recorded.plausible import feet_problems
 from sim_heating.heating.recorded.sounding import Sounding
 from sim_heating.heating.surface_pressure import (
     FractionOfStagnation,
@@ -148,6 +149,8 @@ def read_flight(
     flight = read_fields(path, fields)
     flight, assumed = _with_time(flight)
     raise_problems([*_misspelt(flight, required), *_empty_cells(flight, flight.columns)])
+    if "altitude_m" in flight.columns:
+        raise_problems(feet_problems(flight.table(flight.columns)))  # before air at that altitude is derived
     needed = {*required, "rho_kg_m3"}
     with reworded(partial(_of_row, flight)):
         derived = derived_conditions(flight.columns, length_m=length_m, sounding=sounding, requested=needed)

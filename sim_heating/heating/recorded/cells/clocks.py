@@ -19,6 +19,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.heating.recorded.cells.text import DOTTED_AFTER_DATE, western
 
 DAY_S = 86400.0
+HOUR_S = 3600.0
 ORDERS = {"day-first": "day first", "month-first": "month first", "year-first": "year first"}
 """Value of the option --dates -> in words."""
 GROUPS_OF_ORDER = {"year-first": "abc", "day-first": "cba", "month-first": "cab"}
@@ -27,6 +28,8 @@ DIGITS_OF_BASIC = (slice(0, 4), slice(4, 6), slice(6, 8))
 """Year, month and day in yyyymmdd."""
 ANY_ORDER = "in any order"
 """Of dates whose order changes no time between rows."""
+MINUTES = "clock mm:ss"
+"""Layout of minutes and seconds, in words."""
 CLOCKS = ("hh:mm", "mm:ss", "hh:mm:ss", "hh:mm:ss:ms", "dd:hh:mm:ss", "hhmmss")
 """Layouts of times of day that --time-unit may state."""
 LONGEST_STEP_S = 1e4
@@ -210,7 +213,7 @@ def _time_of_day(cells: _Cells, unit: str | None) -> tuple[FloatArray, bool, str
         return np.zeros(len(cells.rows)), False, ""
     _require_one_layout(cells)
     time, layout = _fields(cells, unit)
-    if np.any(time.minutes > 59.0) and layout != "clock mm:ss":
+    if np.any(time.minutes > 59.0) and layout != MINUTES:
         raise cells.problem(
             "is no time of day; mend the cell, or state --time-unit mm:ss", int(np.argmax(time.minutes > 59.0))
         )
@@ -261,7 +264,7 @@ def _of_two_numbers(cells: _Cells, unit: str | None, time: _Fields) -> tuple[_Fi
     minutes_first = not cells.have_dates and (any(cells.strings("f")) or time.hours.max() > 23.0)
     if unit == "mm:ss" or (unit is None and minutes_first):
         shifted = time._replace(hours=np.zeros(len(time.hours)), minutes=time.hours, seconds=time.minutes)
-        return shifted, "clock mm:ss"
+        return shifted, MINUTES
     if unit == "hh:mm" or cells.have_dates or any(cells.strings("half")):
         return time, "clock hh:mm"
     if unit in (None, *CLOCKS):
@@ -447,10 +450,18 @@ def possible_clock(values: FloatArray) -> str:
     return ""
 
 
-def over_midnight(seconds: FloatArray) -> tuple[FloatArray, int]:
-    """Times of day [s] with a day added at each midnight, a step back of more than half a day; and how many."""
+def over_midnight(clock: Clock) -> tuple[FloatArray, str]:
+    """Times of a clock without a date [s], with a day added at each midnight; and a note, empty where there is none.
+
+    A step back of more than half a day is a midnight. Minutes and seconds, as spreadsheets show them, begin anew with
+    each hour: a step back of more than half an hour is one.
+    """
+    seconds = clock.seconds
     unwrapped = seconds.copy()
     finite = np.flatnonzero(np.isfinite(seconds))
-    wraps = np.concatenate(([0], np.cumsum(np.diff(seconds[finite]) < -0.5 * DAY_S)))
-    unwrapped[finite] += DAY_S * wraps
-    return unwrapped, int(wraps[-1]) if len(wraps) else 0
+    has_no_hours = clock.layout == MINUTES and bool(np.all(seconds[finite] < HOUR_S))
+    period = HOUR_S if has_no_hours else DAY_S
+    wraps = np.concatenate(([0], np.cumsum(np.diff(seconds[finite]) < -0.5 * period)))
+    unwrapped[finite] += period * wraps
+    passed, added = ("the hour", "an hour") if has_no_hours else ("midnight", "a day")
+    return unwrapped, f"passes {passed} {wraps[-1]} times: {added} is added at each" if wraps[-1] else ""

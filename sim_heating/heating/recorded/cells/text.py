@@ -90,6 +90,8 @@ QUOTED_LIST = re.compile(r'\s*\(((?:\s*"[^"]*")+)\s*\)\s*')
 """Names as Fluent lists them, `("Time Step" "wall" "flow-time")`."""
 TIME_WORDS = rf"(?i)time|zeit|date|datum|{EAST_ASIAN_TIME}|^t$|^(elapsed )?sec"
 """Words of the name of a time."""
+THOUSANDS_BLANK = re.compile(r"(?<=\d)[\u00a0\u202f](?=\d{3}(?!\d))")
+"""A blank that does not break, between thousands, as in French spreadsheets."""
 HEAD_LINES = 50
 """Most lines above the data."""
 TRAILER_LINES = 30
@@ -292,7 +294,7 @@ def _is_torn(cell: str, sign: str) -> bool:
             return True  # one may be the decimal sign of the seconds
         ends_in_year = re.search(r"[A-Za-z]{3} +\d{1,2} [\d:]+ \d{4}$", cell)
         return not ends_in_year and re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
-    return re.search(r"\d[.,]?\s+[+-]?[.,]?\d", cell) is not None
+    return re.search(r"\d[.,]?\s+[+-]?[.,]?\d", THOUSANDS_BLANK.sub("", cell)) is not None
 
 
 def is_number(cell: str) -> bool:
