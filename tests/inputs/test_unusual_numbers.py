@@ -232,7 +232,10 @@ def test_cold_thermocouples_in_flight_are_told(record: Path) -> None:
     [
         ({"gamma_deg": -69.0}, "`gamma_deg`: -69 deg at 120000 m is unusual (entries: -25 to -0.4)"),
         ({"velocity_m_s": 2286.0}, "`velocity_m_s`: 2286 m/s at 120000 m is unusual"),
-        ({"velocity_m_s": 129.0, "altitude_m": 8e4}, "`velocity_m_s`: 129 m/s at 80000 m is unusual: lift carries 0.01"),
+        (
+            {"velocity_m_s": 129.0, "altitude_m": 8e4},
+            "`velocity_m_s`: 129 m/s at 80000 m is unusual: lift carries 0.01",
+        ),
         ({"altitude_m": 4.5e5}, "`altitude_m`: 450000 is unusual (-500 to 400000: the Dead Sea to a low orbit)"),
     ],
 )
