@@ -248,7 +248,7 @@ def test_an_entry_that_hardly_any_vehicle_flies_is_told(changes: dict[str, float
 @pytest.mark.parametrize(
     ("file", "old", "new", "line"),
     [
-        ("li900.toml", "[810.928, 1210.0]", "[810.928, 50137.0]", "`specific_heat_J_kgK`, row 7, item 2: 50137 is unusual"),
+        ("li900.toml", "[810.928, 1210.0]", "[810.928, 50137.0]", "row 7, item 2: 50137 is unusual (90 to 5000"),
         ("li900.toml", "[0.0159, 0.0216, ", "[0.0159, 93.7, ", "at 394.444 K 93.7 stands out beside 0.0173"),
         ("rcg.toml", "[[300.0, 0.85]", "[[300.0, 0.02]", "`emissivity`, row 1, item 2: 0.02 is unusual"),
     ],
