@@ -247,7 +247,7 @@ def _flight_inputs(
         key = "scenario" if source.scenario is not None else "records"
         source_path = roots.named(source.scenario or source.records or "", f"[[flight]] {i}: `{key}`")
         where = f"{display_path(path)}, [[flight]] {i}: "
-        if not source_path.exists():
+        if not os.path.exists(source_path):  # false for a path that is too long as well
             problems.append(f"{where}`{key}`: there is no {display_path(source_path)}")
             continue
         if source.scenario is None:

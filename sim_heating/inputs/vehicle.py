@@ -35,6 +35,7 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.files.package import data_folders
 from sim_heating.base.files.paths import real_path
+from sim_heating.base.files.toml import remarks_of
 from sim_heating.heating.edge_flow import EdgeFlow, edge_flow
 from sim_heating.heating.effects import EffectUse, check_count, combined_uses, use
 from sim_heating.heating.ratio.table import RatioTable, depends_on, read_ratio_table
@@ -419,7 +420,11 @@ def _derive(path: Path, material: DerivedMaterial, complete: Mapping[str, Materi
         raise InputError(
             f"{display_path(path)}: `based_on`: `{material.based_on}` is not a material that is given whole{hint}"
         )
-    return check(material.apply(complete[material.based_on]), Material, display_path(path))
+    base = complete[material.based_on]
+    data, where = material.apply(base), display_path(path)
+    derived = check(data, Material, where, tells=False)
+    tell(remarks_of(derived, data, where, told={location for location, _ in base.unusual()}))
+    return derived
 
 
 def _read_control_points(

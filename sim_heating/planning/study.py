@@ -234,9 +234,11 @@ def _base(study_path: Path, declared: StudyFile, vehicle: Vehicle, root: str | o
             "heating": dict.fromkeys(flown.heating.left_out.values(), False),
         }
         # Checked by itself first, so that its own problems are reported with its path and all others with the study's.
-        make_scenario(source, check(head | copied, ScenarioFile, display_path(source)), vehicle, root=root)
+        file = check(head | copied, ScenarioFile, display_path(source), tells=False)
+        make_scenario(source, file, vehicle, root=root)
         contents |= copied | {"effect": [*copied["effect"], *contents["effect"]]}
-    file = check({k: v for k, v in contents.items() if v is not None}, ScenarioFile, display_path(study_path))
+    contents = {key: value for key, value in contents.items() if value is not None}
+    file = check(contents, ScenarioFile, display_path(study_path), tells=False)
     return make_scenario(source, file, vehicle, error_file=study_path, root=root)
 
 

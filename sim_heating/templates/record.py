@@ -31,6 +31,7 @@ from sim_heating.base.files import (
     write_csv,
     write_text_atomic,
 )
+from sim_heating.base.files.text import and_more_rows
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.heating.recorded.reading import OPTION, local_pressure, lowered_confidence, read_flight
@@ -252,8 +253,10 @@ def _recorded_flux(measured: MeasuredCsv, lamp: str, flux_column: CsvColumn | No
     flux = flux_column.si
     if flux_column.guess:
         warnings.warn(f"--lamp {lamp}, column {flux_column.name}: {flux_column.guess}", stacklevel=3)
-    if np.any(np.isnan(flux)):
-        raise InputError(f"--lamp {lamp}: {np.count_nonzero(np.isnan(flux))} cells hold no number; fill them")
+    empty = np.flatnonzero(np.isnan(flux))
+    if empty.size:
+        cell = f"{display_path(file.path)}, row {file.rows[empty[0]]}, column {flux_column.name}"
+        raise InputError(f"{cell}: holds no number; fill it{and_more_rows(empty.size)}")
     absorbed = "absorbed" if absorptance is None else f"incident, {absorptance:g} of it absorbed"
     note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {absorbed}"
     source = Source(file.path, file.rows, {"time_s": file.of_kind(TIME)[0].name, "q_add_W_m2": flux_column.name})

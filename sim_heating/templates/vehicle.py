@@ -99,6 +99,8 @@ def point_inputs(points: Sequence[str], x_over_L: Mapping[str, str], ratios: Map
         if not (equals and layers and re.fullmatch(NAME, name)):
             example = '--point NOSE="LI-900 50 mm / al2024 2 mm"'
             raise InputError(f"--point {text}: write {example}; a name has letters, digits and _")
+        if (problem := portable_problem(name)) is not None:
+            raise InputError(f"--point {text}: {name} {problem}")
         stack = tuple(layer_input(layer, f"--point {name}") for layer in layers.split(" / "))
         position = 0.0 if not inputs and name not in x_over_L else _number(x_over_L, name, "--place", 0.0, 1.0)
         ratio = None if name not in ratios else _number(ratios, name, "--ratio", 0.0, 300.0)

@@ -254,15 +254,15 @@ class Material(Declared):
         return [(("specific_heat_J_kgK", i, 1), text) for i, text in lines]
 
     def _emissivity_remarks(self, largest_W_mK: float) -> list[tuple[Location, str]]:
-        """The first emissivity [-] of a bright metal where the conductivity is none of a metal, and nodes that stand
-        out of their table."""
+        """Emissivities [-] that stand out of their table, and the first one of a bright metal where the conductivity is
+        none of a metal."""
         if self.emissivity is None:
             return []
         values = [value for _, value in self.emissivity]
         bright = [i for i, value in enumerate(values) if value < NOT_METAL_EMITS and largest_W_mK < METAL_W_MK]
         rule = f"is unusual where k is {largest_W_mK:.3g} W/(m K), of no bright metal"
-        lines = [(i, f"{values[i]:g} {rule}") for i in bright[:1]]
-        lines += [(i, f"{text}; check it") for i, text in nodes_that_stand_out(values)]
+        lines = [(i, f"{text}; check it") for i, text in nodes_that_stand_out(values)]
+        lines += [(i, f"{values[i]:g} {rule}") for i in bright[:1]]
         return [(("emissivity", i, 1), text) for i, text in lines]
 
     def _density_remarks(self, T_K: FloatArray, k: FloatArray) -> list[tuple[Location, str]]:

@@ -28,6 +28,7 @@ from sim_heating.base.files import Convertible, Location
 from sim_heating.base.limits import QUANTITIES, SLOWEST_M_S, low_and_fast, usual_remark
 from sim_heating.heating.atmosphere import G0_M_S2, HIGHEST_M, LOWEST_M, us76
 from sim_heating.heating.recorded.fields import ConditionField, check_columns, field_or_table
+from sim_heating.heating.recorded.plausible import CARRIED_ABOVE_M, CARRIED_KG_M2
 
 Axis = Literal["mach", "velocity_m_s"]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -108,7 +109,12 @@ def entry_remarks(altitude_m: float, velocity_m_s: float, gamma_deg: float) -> l
     q_Pa = 0.5 * us76(min(max(altitude_m, LOWEST_M), HIGHEST_M))[2] * velocity_m_s**2
     if (text := usual_remark("q_Pa", float(q_Pa))) is not None:
         return [(("altitude_m",), f"{altitude_m:g} m at {velocity_m_s:g} m/s: dynamic pressure [Pa] of {text}")]
-    if altitude_m < ENTRY_ABOVE_M or velocity_m_s < SLOWEST_M_S:
+    if velocity_m_s < SLOWEST_M_S:
+        return []
+    if CARRIED_ABOVE_M <= altitude_m < ENTRY_ABOVE_M and q_Pa < CARRIED_KG_M2 * G0_M_S2:
+        text = f"{velocity_m_s:g} m/s at {altitude_m:g} m is unusual: lift carries {q_Pa / G0_M_S2:.2g} kg/m2 there"
+        return [(("velocity_m_s",), f"{text}; check its unit")]
+    if altitude_m < ENTRY_ABOVE_M:
         return []
     remarks: list[tuple[Location, str]] = []
     low, high = ENTRY_GAMMA_DEG if altitude_m < INTERFACE_M else (ENTRY_GAMMA_DEG[0], INTERFACE_GAMMA_DEG)

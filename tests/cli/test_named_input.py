@@ -154,6 +154,22 @@ def test_a_name_that_cannot_be_is_an_input(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_control_point_that_no_file_can_be_named_after_is_told_by_its_option(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    sizes = ["--length", "2m", "--mass", "650kg", "--area", "3m2", "--nose-radius", "1.2m"]
+    assert main(["new", "vehicle", *sizes, "--point", "con=copper 3 mm", "--out", "v", "--quiet"]) == 2
+    assert capsys.readouterr().err.startswith("error: --point con=copper 3 mm: con is the name of a device on Windows")
+
+
+@pytest.mark.parametrize("key", ["records", "scenario"])
+def test_a_flight_of_a_campaign_whose_path_is_too_long_is_told_with_its_key(tmp_path: Path, key: str) -> None:
+    head = 'format = "campaign/1"\ntitle = "t"\nvehicle = "orbiter"\n'
+    (tmp_path / "c.toml").write_text(f'{head}[[flight]]\n{key} = "{"a" * 5000}"\n')
+    assert f"c.toml, [[flight]] 1: `{key}`: there is no " in refused(tmp_path / "c.toml")
+
+
 def test_figures_that_flights_do_not_give_leave_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

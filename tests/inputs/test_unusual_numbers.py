@@ -23,6 +23,7 @@ from sim_heating.inputs.record import load_record
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.live.filtering.plausible import FrameRemarks
 from sim_heating.live.types import Frame
+from sim_heating.planning.study import load_study
 from sim_heating.thermal.stack import Material
 from sim_heating.trajectory.spec import TrajectorySpec
 from tests.support.paths import PRACTICE, RECORDS, ROOT, SCENARIOS
@@ -187,6 +188,13 @@ def test_path_angles_of_a_third_of_the_path_are_told(tmp_path: Path) -> None:
     assert any("column gamma_deg: is 0.3" in x and "of the path that altitude, time and speed" in x for x in lines)
 
 
+def test_one_path_angle_of_a_dive_is_told_with_its_row(tmp_path: Path) -> None:
+    flight = Path(shutil.copytree(RECORDS / "sts96_480", tmp_path / "flight"))
+    change(flight / "conditions.csv", "gamma_deg", one_row(100, -69.0))
+    lines = told(lambda: load_record(flight))
+    assert any("column gamma_deg: -69 stands out of the rows before and after it" in x for x in lines)
+
+
 def test_a_flight_outside_the_ratio_table_is_told(record: Path) -> None:
     change(record / "conditions.csv", "alpha_deg", lambda a: a + 80.0)
     lines = told(lambda: load_record(record))
@@ -224,6 +232,10 @@ def test_cold_thermocouples_in_flight_are_told(record: Path) -> None:
     [
         ({"gamma_deg": -69.0}, "`gamma_deg`: -69 deg at 120000 m is unusual (entries: -25 to -0.4)"),
         ({"velocity_m_s": 2286.0}, "`velocity_m_s`: 2286 m/s at 120000 m is unusual"),
+        (
+            {"velocity_m_s": 129.0, "altitude_m": 8e4},
+            "`velocity_m_s`: 129 m/s at 80000 m is unusual: lift carries 0.01",
+        ),
         ({"altitude_m": 4.5e5}, "`altitude_m`: 450000 is unusual (-500 to 400000: the Dead Sea to a low orbit)"),
     ],
 )
@@ -231,6 +243,35 @@ def test_an_entry_that_hardly_any_vehicle_flies_is_told(changes: dict[str, float
     table = {"source": "entry-3dof", "initial": ENTRY | changes}
     lines = told(lambda: check(table, TrajectorySpec, "entry.toml"))
     assert any(line in text for text in lines), lines
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "line"),
+    [
+        ("li900.toml", "[810.928, 1210.0]", "[810.928, 50137.0]", "row 7, item 2: 50137 is unusual (90 to 5000"),
+        ("li900.toml", "[0.0159, 0.0216, ", "[0.0159, 93.7, ", "at 394.444 K 93.7 stands out beside 0.0173"),
+        ("rcg.toml", "[[300.0, 0.85]", "[[300.0, 0.02]", "`emissivity`, row 1, item 2: 0.02 is unusual"),
+    ],
+)  # fmt: skip
+def test_a_number_of_a_material_is_told_once_by_the_file_that_holds_it(
+    tmp_path: Path, file: str, old: str, new: str, line: str
+) -> None:
+    """LI-2200 has the tables of LI-900, which its own file does not hold."""
+    vehicle = Path(shutil.copytree(ROOT / "aircraft_data" / "orbiter", tmp_path / "orbiter"))
+    path = vehicle / "materials" / file
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    (remark,) = told(lambda: load_vehicle(vehicle))
+    assert remark.startswith(str(path))
+    assert line in remark
+
+
+def test_an_entry_of_a_study_is_told_once(tmp_path: Path) -> None:
+    text = (SCENARIOS / "studies" / "small_envelope.toml").read_text()
+    (tmp_path / "study.toml").write_text(text.replace("gamma_deg = -1.2", "gamma_deg = -69.0"))
+    (remark,) = told(lambda: load_study(tmp_path / "study.toml"))
+    assert "[trajectory.initial]: `gamma_deg`: -69 deg at 121920 m is unusual" in remark
 
 
 def test_what_is_told_is_in_the_object_of_json_once(record: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,8 @@ import sys
 import tempfile
 import warnings
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -204,6 +205,25 @@ def fit() -> Path:
     return place
 
 
+@contextmanager
+def _blank_pictures() -> Iterator[None]:
+    """Pictures are written where they always are, but blank: drawing takes most of the time of a campaign."""
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    save, lay_out = Figure.savefig, ConstrainedLayoutEngine.execute
+
+    def save_blank(_: Figure, *arguments: Any, **settings: Any) -> None:
+        save(Figure(), *arguments, **settings)
+
+    Figure.savefig = save_blank  # type: ignore[method-assign]
+    ConstrainedLayoutEngine.execute = lambda *_: None  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        Figure.savefig, ConstrainedLayoutEngine.execute = save, lay_out  # type: ignore[method-assign]
+
+
 def _writers() -> Mapping[str, Callable[[str], Callable[[Path], object]]]:
     """Command -> which flight -> a function that writes its results, computed before, into a folder."""
 
@@ -320,7 +340,8 @@ def case(command: str, fresh: bool = False) -> Case:
             from sim_heating.cli import main
 
             given = arguments(command, flight) or []
-            assert main([str(folder / "out") if a == "OUT" else a for a in given]) == 0
+            with _blank_pictures():
+                assert main([str(folder / "out") if a == "OUT" else a for a in given]) == 0
 
         return Case(
             lambda folder: None if fresh else run("before", folder), lambda folder: run("after", folder), fresh=fresh
@@ -408,6 +429,10 @@ def kill_and_judge(chosen: Case, numbers: Sequence[int] | None, folder: Path, mo
     """
 
     place = folder / "case"  # always the same: files name others relative to themselves
+    place.mkdir()
+    chosen.prepare(place)
+    chosen.act(place)  # with modules and kernels loaded, the children do not load them again
+    shutil.rmtree(place)
     place.mkdir()
     chosen.prepare(place)
     before = readable(state(place))

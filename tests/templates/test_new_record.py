@@ -192,6 +192,9 @@ def test_a_lamp_may_be_a_column_of_the_file_or_a_file_of_its_own() -> None:
     Path("short.csv").write_text("time_s,flux_W_m2\n0,1000\n5,1000\n")
     assert "covers 0 to 5 s" in refused("new", "record", *arguments, "--lamp", "short.csv", "--out", "c")
     assert "--lamp 20: has no unit; write" in refused("new", "record", *arguments, "--lamp", "20", "--out", "c")
+    Path("torn.csv").write_text("time_s,flux_W_m2\n-5,0\n5,1000\n10,\n30,1000\n")
+    line = refused("new", "record", *arguments, "--lamp", "torn.csv", "--out", "c")
+    assert "torn.csv, row 4, column flux: holds no number; fill it" in line
     late = ("--lamp", "20 kW/m2", "--lit", "10000,130000")
     assert "the readings end at" in refused("new", "record", *arguments, *late, "--out", "c")
 

@@ -12,7 +12,7 @@ import re
 import tomllib
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Any, ClassVar, Self, TypeVar
 
 import tomlkit
@@ -165,15 +165,24 @@ def _unusual_numbers(name: str, value: Any) -> list[tuple[Location, str]]:
     ]
 
 
-def remarks_of(model: Declared, data: Any, where: str, *, below: bool = True) -> list[str]:
+def remarks_of(
+    model: Declared, data: Any, where: str, *, below: bool = True, told: Container[Location] = ()
+) -> list[str]:
     """One line for each number of a model, and of the models below it, that is possible and unusual.
 
     data  : what the model was made of, in which the lines name tables and keys
     where : name of the file
     below : false: of this model alone
+    told  : locations of numbers that another file holds, and that have been told of
     """
-    remarks = _unusual_below(model, ()) if below else model.unusual()
-    return [_problem_line(_data_location(loc, data), data, where, text) for loc, text in remarks]
+    first: dict[Location, str] = {}
+    for location, text in _unusual_below(model, ()) if below else model.unusual():
+        first.setdefault(location, text)
+    return [
+        _problem_line(_data_location(location, data), data, where, text)
+        for location, text in first.items()
+        if location not in told
+    ]
 
 
 def _unusual_below(value: Any, location: Location) -> list[tuple[Location, str]]:

@@ -526,6 +526,7 @@ STEPS: dict[str, float] = {
     "beta_deg": 12.0,
     "elevon_deg": 20.0,
     "bodyflap_deg": 20.0,
+    "gamma_deg": 15.0,
     "log10_re": 0.4,
     "q_add_W_m2": 3e4,
 }
