@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.challenge.record import make_and_write
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.changes.record_change import fit_changes
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
+from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import TrialFit, base_trial
 from sim_heating.estimation.fit import estimate
@@ -185,6 +188,17 @@ def test_two_broken_thermocouples_of_four_are_found_together():
     best = found_in(plug(wandering))[0]
     assert best.change.what in ("T2 and T3 broken", "T3 and T2 broken")
     assert best.excess_chi2 < 0.3
+
+
+@pytest.mark.thorough
+def test_no_cause_is_stated_beside_two_broken_thermocouples(tmp_path: Path):
+    plug_with_moisture_that_migrates = (775, 35, "one", tmp_path, False)
+    name, _, _ = make_and_write(plug_with_moisture_that_migrates)
+    search = search_effects(load_record(tmp_path / name))
+    two_broken = [h for h in search.hypotheses if h.change is not None and " and " in h.change.what]
+    assert two_broken
+    assert not [h.names for h in two_broken if h.added]
+    assert search.conclusion.finding == "partly"
 
 
 @pytest.mark.thorough

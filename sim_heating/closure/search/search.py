@@ -383,11 +383,13 @@ class _Search:
 
         None where no change that may be named explains half of the excess: what explains less is no cause of its own.
         Those that do not explain the record either are left out: with a free effect more, any change comes near many
-        residuals.
+        residuals. None besides two broken thermocouples: what is left of the readings follows many effects.
         """
         excess = self.none.excess_chi2
         best = next((h for h in rated if h.change is not None and h.admissible and len(h.names) == 1), None)
-        if best is None or excess - best.excess_chi2 < POLICY.min_explained * excess:
+        if best is None or best.change is None or len(best.change.broken) > 1:
+            return []
+        if excess - best.excess_chi2 < POLICY.min_explained * excess:
             return []
         of_round = search_round(best.last, best.effects, progress)
         refined = _nameable_first(_refined(of_round, progress))

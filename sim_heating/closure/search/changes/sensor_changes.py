@@ -603,6 +603,7 @@ def _without(
         apply,
         lambda _: description or text,
         known_log_likelihood=(log_likelihoods[0] - cost, log_likelihoods[1]),
+        broken=tuple(name for name, which in lost.items() if which is None),
     )
 
 

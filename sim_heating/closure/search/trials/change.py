@@ -51,6 +51,7 @@ class RecordChange:
                 `stack.al2024.heat_capacity_factor`: it is then estimated with the others, with its exact derivative
     free      : dotted names of parameters of the point's model that are estimated with it
     ends      : of a change with ends that is an effect, by their names in a closure report: value and unit
+    broken    : thermocouples of which it leaves out all readings
     """
 
     kind: Literal["flight", "wall", "sensor"]
@@ -66,6 +67,7 @@ class RecordChange:
     known_log_likelihood: tuple[float, float] = (0.0, 0.0)
     free: tuple[str, ...] = ()
     ends: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    broken: tuple[str, ...] = ()
 
     @property
     def neutral(self) -> float:
