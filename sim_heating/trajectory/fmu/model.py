@@ -7,7 +7,6 @@ Source: Modelica Association (2022), "Functional Mock-up Interface Specification
 
 from __future__ import annotations
 
-import gc
 import re
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -256,9 +255,7 @@ def _description(path: Path, _: tuple[int, int, int]) -> ModelDescription:
         # Not validated at first, because FMPy rejects some valid descriptions; the schema is asked only why reading
         # failed.
         with without_collection():
-            description = fmpy.read_model_description(path, validate=False)
-            gc.freeze()  # a million objects that stay: the next collections would walk through them
-            return description
+            return fmpy.read_model_description(path, validate=False)
     except Exception as error:  # FMPy raises plain Exceptions, lxml its own, and both Python's
         raise InputError(f"{display_path(path)}: {DESCRIPTION} {_description_fault(path, error)}") from None
 
