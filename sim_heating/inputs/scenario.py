@@ -27,7 +27,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import (
     CsvTable,
     Declared,
@@ -499,12 +499,27 @@ def with_design(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     return replace(scenario, declared=scenario.declared.model_copy(update={"design": design}))
 
 
-def _named_points(declared: ScenarioFile) -> list[str]:
-    """Control points that a scenario names, anywhere."""
-    points = [*(declared.control_points or []), *(c.control_point for c in declared.compare)]
+def _named_points(declared: ScenarioFile) -> list[tuple[str, str]]:
+    """(key, name) of the control points that a scenario names, anywhere."""
+    points = [("`control_points`", name) for name in declared.control_points or []]
+    points += [(f"[compare] {i}: `control_point`", c.control_point) for i, c in enumerate(declared.compare, start=1)]
     if declared.design is not None and declared.design.control_point:
-        points.append(declared.design.control_point)
-    return points + [p for e in (*declared.effect, *declared.truth.effect) for p in e.control_points or []]
+        points.append(("[design]: `control_point`", declared.design.control_point))
+    for table, uses in (("effect", declared.effect), ("truth.effect", declared.truth.effect)):
+        for i, declared_use in enumerate(uses, start=1):
+            points += [(f"[[{table}]] {i}: `control_points`", name) for name in declared_use.control_points or []]
+    return points
+
+
+def _unknown_points(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
+    """Control points that the vehicle does not have, each with its key."""
+
+    def check_point(named: tuple[str, str]) -> None:
+        key, name = named
+        with error_context(key):
+            vehicle.control_point(name)
+
+    return _collect_problems(check_point, _named_points(declared))
 
 
 def _fault_problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
@@ -518,7 +533,7 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
     """Unknown control points, effects and sensors, and other contradictions between a scenario and its vehicle."""
     uses = [*declared.effect, *declared.truth.effect]
     return [
-        *_collect_problems(lambda name: vehicle.control_point(name), _named_points(declared)),
+        *_unknown_points(declared, vehicle),
         *_collect_problems(_checked_use, uses),
         *_left_out_problems(declared),
         *_inert_problems(declared, vehicle),

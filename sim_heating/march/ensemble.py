@@ -287,7 +287,7 @@ class Ensemble:
         else:
             for g in groups:
                 march_one(g)
-        self._check_effects(time_s, histories, which)
+        self.check_effects(time_s, histories, which)
         self.check()
         return out
 
@@ -342,7 +342,7 @@ class Ensemble:
         away = np.array([model.runs_away for model in self.models])
         return np.asarray((self.counters.failures > 0.0) | ~np.isfinite(surface) | away)
 
-    def _check_effects(self, time_s: FloatArray, histories: FloatArray, which: Sequence[int]) -> None:
+    def check_effects(self, time_s: FloatArray, histories: FloatArray, which: Sequence[int]) -> None:
         """Look for the reason of a failure in the effects that a user defined.
 
         raises : RunError with effect, file, time and value, where a point failed and an effect of it has a value that

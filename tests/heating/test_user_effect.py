@@ -301,6 +301,37 @@ def test_a_search_leaves_out_an_effect_that_is_no_number_and_says_so(effects_fol
     assert "alpha-growth" not in {c.name for c in tried}
 
 
+STUDY = """
+format = "study/1"
+title = "User-defined effect"
+vehicle = "orb"
+control_points = ["{point}"]
+[trajectory]{trajectory}
+[dispersion]
+flights = 8
+scrambles = 2
+index_flights = 4
+[[dispersion.input]]
+name = "entry.gamma_deg"
+sigma = 0.02
+"""
+
+
+@pytest.mark.thorough
+def test_a_study_names_the_effect_that_is_no_number(effects_folder, capsys):
+    with_root_of_negative(effects_folder)
+    shutil.copytree(ROOT / "aircraft_data" / "orbiter", "orb")
+    declaration = Path("orb/vehicle.toml")
+    declaration.write_text(declaration.read_text().replace('name = "orbiter"', 'name = "orb"'))
+    with Path(f"orb/control_points/{POINT}.toml").open("a") as file:
+        file.write('\n[[effect]]\nname = "alpha-growth"\nparameters = { growth = 0.1 }\nsource = "test"\n')
+    trajectory = SCENARIO.split("[trajectory]")[1].split("[[trajectory.manoeuvre]]")[0]
+    Path("study.toml").write_text(STUDY.format(point=POINT, trajectory=trajectory))
+    assert main(["plan", "study.toml", "--out", "planned"]) == 1
+    told = "".join(capsys.readouterr())
+    assert re.search(rf"{POINT}: effect `alpha-growth` \(.*steepness\.py\): is nan at time_s", " ".join(told.split()))
+
+
 @pytest.mark.thorough
 def test_a_link_names_the_effect_that_is_no_number_and_goes_on(effects_folder, capsys):
     with_root_of_negative(effects_folder)

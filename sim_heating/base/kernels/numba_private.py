@@ -7,7 +7,6 @@ tests/base/test_numba_private.py has a test for each: after a change of numba it
 
 from __future__ import annotations
 
-import gc
 import re
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -23,6 +22,7 @@ import numba.core.registry
 import numba.core.sigutils
 import numba.extending
 
+from sim_heating.base.collection import without_collection
 from sim_heating.base.kernels.operations import WHOLE
 
 # Compilers -----------------------------------------------------------------------------------------------------------
@@ -32,13 +32,8 @@ class CFunctionCompiler(numba.core.compiler.Compiler):
     """Compiles with Python's garbage collection off, which takes a tenth of the time and finds hardly anything."""
 
     def compile_extra(self, function: Any) -> Any:
-        if not gc.isenabled():
+        with without_collection():
             return super().compile_extra(function)
-        gc.disable()
-        try:
-            return super().compile_extra(function)
-        finally:
-            gc.enable()
 
 
 class KernelCompiler(CFunctionCompiler):

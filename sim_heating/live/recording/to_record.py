@@ -15,7 +15,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import DESCRIPTIONS, SURFACES, Conditions
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import InputError, RunError, reworded
 from sim_heating.base.files import display_path, output_directory
 from sim_heating.estimation.record_fit import LONGEST_STEP_S
 from sim_heating.heating.atmosphere import free_stream
@@ -148,7 +148,7 @@ def records_of(link: Link, stretch: Stretch) -> dict[str, Record]:
         point.name: record if declared_start else with_heated_start(record)
         for point in link.points
         if (measured := _measured(point, stretch, times[0], times[-1])) is not None
-        for record in [_with_confidence(_record(link, point, columns, measured), stretch)]
+        for record in [_with_confidence(_record_that_can_be(link, point, columns, measured), stretch)]
     }
     if not records:
         raise InputError(f"{where}: no reading of a thermocouple came within the time of the conditions; no record")
@@ -173,6 +173,16 @@ def _measured(point: LinkPoint, stretch: Stretch, first_s: float, last_s: float)
         return None
     columns = {c: np.array([values.get(t, np.nan) for t in times]) for c, values in read.items()}
     return {"time_s": np.array(times), **columns}
+
+
+def _record_that_can_be(
+    link: Link, point: LinkPoint, flown: Mapping[str, FloatArray], measured: Mapping[str, FloatArray]
+) -> Record:
+    """The record of a point; an InputError names the link, because none of the record's files is written then."""
+    folder = display_path(Path(point.name) / "_")[:-1]
+    where = f"{display_path(link.path)}: what came makes no record of {point.name}"
+    with reworded(lambda problem: f"{where}: {problem.removeprefix(folder)}"):
+        return _record(link, point, flown, measured)
 
 
 def _record(

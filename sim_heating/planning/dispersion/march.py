@@ -193,6 +193,9 @@ class LaneMarch:
         self._write_parameters(changes, lane)
         self._write_ratio_tables(table_factors, lane)
         marched = self.march_all(time_s, histories)
+        if np.all(np.any(self.ensemble.failed().reshape(-1, LANES), axis=0)):  # one flight may fail where others do not
+            lanes = histories.reshape(-1, *histories.shape[2:])  # point by point, as the ensemble has them
+            self.ensemble.check_effects(time_s, lanes, range(len(lanes)))
         if keep is not None:
             keep += [(out, history.copy()) for out, history in zip(marched, histories, strict=True)]
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,12 +113,19 @@ class Reading:
     convert: Conversion
 
 
-def _only_output(column: str, outputs: Sequence[str]) -> str | None:
+def _outputs_by_letters(outputs: Iterable[str]) -> dict[str, list[str]]:
+    """Outputs by their name in lower case, letters only, as USUAL_NAMES has it."""
+    by_letters: dict[str, list[str]] = {}
+    for name in outputs:
+        by_letters.setdefault(NOT_A_LETTER.sub("", name.lower()), []).append(name)
+    return by_letters
+
+
+def _only_output(column: str, outputs: Set[str], by_letters: Mapping[str, Sequence[str]]) -> str | None:
     """The output with the name of a column, or the only one with a usual name of it; else None."""
     if column in outputs:
         return column
-    by_letters = [(NOT_A_LETTER.sub("", name.lower()), name) for name in outputs]
-    names = [name for letters, name in by_letters if letters in USUAL_NAMES.get(column, ())]
+    names = [name for usual in USUAL_NAMES.get(column, ()) for name in by_letters.get(usual, ())]
     return names[0] if len(names) == 1 else None
 
 
@@ -175,11 +182,12 @@ class ColumnsOfFmu:
         """
         # A column that follows from mapped ones is not looked for by name: two sources of one quantity may disagree.
         mapped = mapped.union(*(derived for needed, derived in DERIVED_FROM if needed <= mapped))
-        outputs = [v.name for v in model.description.modelVariables if v.causality == "output" and v.name not in read]
+        outputs = {v.name for v in model.description.modelVariables if v.causality == "output" and v.name not in read}
+        by_letters = _outputs_by_letters(outputs)
         readings = []
         for column in COLUMNS:
             # A name that fits several outputs is left alone; a wrong guess would fly without a message.
-            if column in mapped or (name := _only_output(column, outputs)) is None:
+            if column in mapped or (name := _only_output(column, outputs, by_letters)) is None:
                 continue
             try:
                 convert = model.conversion(model.number(name, column), None, unit_of(column), column)
