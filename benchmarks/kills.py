@@ -1,13 +1,14 @@
 """Every command that writes, killed at every one of its file operations: what readers then see, and what is left.
 
     python -m benchmarks kills    # goes on where it was interrupted, from out/kills
-    python -m benchmarks.kills --most 12 --command campaign --command "new record"
+    python -m benchmarks.kills --most 12 --command campaign --command "new record"    # and leaves the others' rows
 
 How a command is killed and judged: tests/support/kills.py.
 """
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.measure import Figure, kept, save, table
+from benchmarks.measure import RESULTS, Figure, kept, save, table
 from tests.support.kills import bad, case, kill_and_judge
 
 COMMANDS = (
@@ -29,8 +30,12 @@ MOST = 40
 
 
 def run(most: int = MOST, commands: Sequence[str] = COMMANDS) -> list[Figure]:
-    """Kill commands, each at all its operations; at `most` of those of a command that has more, evenly spread."""
-    keep, rows = kept(Path("out") / "kills"), dict[str, dict[str, int]]()
+    """Kill commands, each at all its operations; at `most` of those of a command that has more, evenly spread.
+
+    Saved rows of other commands stay as they are.
+    """
+    keep, saved = kept(Path("out") / "kills"), RESULTS / "kills.json"
+    rows: dict[str, dict[str, int]] = json.loads(saved.read_text())["commands"] if saved.is_file() else {}
     for command in commands:
         for fresh in (False, True) if command not in ("update-tables", "revert") else (False,):
             label = f"{command}, {'new' if fresh else 'existing'} directory"
