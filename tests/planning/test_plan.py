@@ -220,7 +220,8 @@ def test_unknown_control_point_is_reported_with_the_file_of_the_study(study, tmp
     study.write_text(text.replace(flown, f'scenario = "{base}"\n').replace('"V09T9527"', '"V09T952"'))
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
     errors = capsys.readouterr().err.strip().splitlines()
-    assert errors == [f"error: {study}: vehicle orbiter: there is no control point `V09T952`; did you mean `V09T9527`?"]
+    text = "`control_points`: vehicle orbiter: there is no control point `V09T952`; did you mean `V09T9527`?"
+    assert errors == [f"error: {study}: {text}"]
 
 
 def test_study_leaves_out_the_transition_that_its_scenario_leaves_out(study, tmp_path):
