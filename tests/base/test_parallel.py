@@ -157,7 +157,7 @@ def test_an_absent_scheduler_is_one_clear_line(tmp_path, monkeypatch):
 def test_an_existing_scheduler_does_the_work(tmp_path):
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0") as cluster:
         outcome = run_batches(jobs(5), _square, tmp_path, scheduler=cluster.scheduler_address)
     assert [outcome.done[j.id].read_bytes() for j in jobs(5)] == [b"0\n", b"1\n", b"4\n", b"9\n", b"16\n"]
 
@@ -167,7 +167,7 @@ def test_a_lost_scheduler_is_one_line_and_finished_results_remain(tmp_path):
 
     (tmp_path / "notes").mkdir()
     function, out = partial(batch_jobs.square, tmp_path / "notes"), tmp_path / "out"
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0") as cluster:
 
         def lose(done, _text):
             if done > 0.0:
