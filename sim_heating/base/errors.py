@@ -126,6 +126,13 @@ def reason_of(error: Exception) -> str:
     return one_line(f"{type(error).__name__}: {' '.join(str(error).split())}")
 
 
+def tell_left_out(title: str, error: Exception) -> str:
+    """Warn of a piece that an error costs, by its title; returns the reason."""
+    reason = reason_of(error)
+    warnings.warn(f"{title}: left out ({reason})", LeftOutWarning, stacklevel=3)
+    return reason
+
+
 def or_left_out(make: Callable[[], R], substitute: S, title: str) -> R | S:
     """The piece that `make` returns; where it raises, a substitute, and a LeftOutWarning that gives the reason.
 
@@ -134,5 +141,5 @@ def or_left_out(make: Callable[[], R], substitute: S, title: str) -> R | S:
     try:
         return make()
     except Exception as error:
-        warnings.warn(f"{title}: left out ({reason_of(error)})", LeftOutWarning, stacklevel=3)
+        tell_left_out(title, error)
         return substitute

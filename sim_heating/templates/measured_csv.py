@@ -232,9 +232,8 @@ class MeasuredCsv:
 
     def name_of(self, text: str) -> str:
         """The name of the column that a text names with its unit, `TC1` for `TC1 (C)`; another text as it is."""
-        bare, _ = name_and_unit(text, list(SI_UNITS.values()))
-        names = {c.name for c in self.columns}
-        return bare if text not in names and bare in names else text
+        k = _index_of(self.columns, text)
+        return text if k is None else self.columns[k].name
 
     def line(self, row: int) -> str:
         """`file, row 14`, the row as an editor counts it."""
@@ -286,7 +285,8 @@ def read_measured_csv(
 ) -> MeasuredCsv:
     """Read a file and recognise its columns; what is given prevails over what is guessed.
 
-    time, temperatures, flux    : names of columns, without or with their units
+    time, temperatures : names of columns, without or with their units
+    flux      : what states the flux of a lamp; where it names a column, that is a heat flux
     time_unit, temperature_unit, flux_unit : units in place of the guessed ones; `hh:mm` or `mm:ss` for a clock
     thermocouple : type, `K`, whose emf the file holds; columns in mV or V are then temperatures
     reference_junction : temperature of its terminals with its unit, or the name of a column of it
@@ -825,13 +825,16 @@ def _reference_junction_K(
 # Choices -------------------------------------------------------------------------------------------------------------
 
 
+def _index_of(columns: Sequence[CsvColumn], name: str) -> int | None:
+    """Index of a column by its name, with or without its unit; None where there is none."""
+    bare, _ = name_and_unit(name, list(SI_UNITS.values()))
+    return next((k for spelling in (name, bare) for k, c in enumerate(columns) if c.name == spelling), None)
+
+
 def _named(path: Path, columns: list[CsvColumn], name: str, place: str) -> int:
     """Index of a column by its name, with or without its unit; `place` states it, for messages."""
-    bare, _ = name_and_unit(name, list(SI_UNITS.values()))
-    for spelling in (name, bare):
-        for k, column in enumerate(columns):
-            if column.name == spelling:
-                return k
+    if (k := _index_of(columns, name)) is not None:
+        return k
     hint = suggestion(name, [c.name for c in columns])
     raise InputError(f"{place}: there is no such column in {display_path(path)}{hint}")
 
@@ -859,10 +862,13 @@ def _as_chosen(
     path: Path, columns: list[CsvColumn], chosen: LoggerLayout, temperatures: tuple[str, ...], flux: str | None
 ) -> list[CsvColumn]:
     """Columns of the kinds that options state; where temperatures are named, others are not used."""
-    choices = [(TIME, chosen.place("time"), chosen.time), (FLUX, f"--lamp {flux}", flux)]
+    choices = [(TIME, chosen.place("time"), chosen.time)]
     choices += [(TEMPERATURE, f"--temperature {t}", t) for t in temperatures]
-    exclusive = {kind for kind, _, name in choices if name is not None} - {FLUX}
+    exclusive = {kind for kind, _, name in choices if name is not None}
     used = [replace(c, kind=UNUSED, reason="not named") if c.kind in exclusive else c for c in columns]
+    lamp = None if flux is None else _index_of(columns, flux)
+    if lamp is not None and columns[lamp].kind != FLUX:
+        used[lamp] = _as_kind(columns[lamp], FLUX, f"--lamp {flux}")
     for kind, place, name in choices:
         if name is not None:
             k = _named(path, columns, name, place)

@@ -16,7 +16,6 @@ import base64
 import hashlib
 import io
 import re
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -29,7 +28,7 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 from PIL import Image
 
-from sim_heating.base.errors import LeftOutWarning, or_left_out, printable, reason_of
+from sim_heating.base.errors import or_left_out, printable, tell_left_out
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.chart import Chart, chart_data, intervals_of, script_json
@@ -162,8 +161,8 @@ def sections_of(makers: Mapping[str, Callable[[], Section | Sequence[Section]]])
         try:
             section = make()
         except Exception as error:
-            warnings.warn(f"report, section `{title}`: left out ({reason_of(error)})", LeftOutWarning, stacklevel=2)
-            section = Section(title, [f"This section could not be made: {reason_of(error)}"])
+            reason = tell_left_out(f"report, section `{title}`", error)
+            section = Section(title, [f"This section could not be made: {reason}"])
         sections += [section] if isinstance(section, Section) else section
     return sections
 
@@ -242,8 +241,7 @@ def write_page(path: Path, make: Callable[[], Page], draws: Sequence[Callable[[]
     try:
         page = make()
     except Exception as error:
-        warnings.warn(f"{path.name}: left out ({reason_of(error)})", LeftOutWarning, stacklevel=2)
-        page = Page(path.stem, f"This page could not be made: {reason_of(error)}", [])
+        page = Page(path.stem, f"This page could not be made: {tell_left_out(path.name, error)}", [])
     write_text_atomic(path, page_html(page, draws))
 
 

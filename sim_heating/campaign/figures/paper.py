@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sim_heating.base.errors import InputError, LeftOutWarning, reason_of
+from sim_heating.base.errors import InputError, tell_left_out
 from sim_heating.base.files import output_directory, read_toml_dict, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.progress import Progress, no_progress
@@ -162,8 +161,7 @@ def draw_figures(
         except InputError:
             raise
         except Exception as error:  # one figure does not cost the others
-            left_out[number] = reason_of(error)
-            warnings.warn(f"figure {number}: left out ({reason_of(error)})", LeftOutWarning, stacklevel=2)
+            left_out[number] = tell_left_out(f"figure {number}", error)
     return PaperFigures(tuple(f.name for f in read), tuple(inputs), tuple(drawn), left_out)
 
 

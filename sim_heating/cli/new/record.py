@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -174,7 +173,7 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
     from sim_heating.cli.path_check import describe_record
     from sim_heating.templates import record as maker
     from sim_heating.templates.loggers.layout_file import read_layout, write_layout
-    from sim_heating.templates.measured_csv import FLUX, lost_values, read_measured_csv
+    from sim_heating.templates.measured_csv import lost_values, read_measured_csv
 
     if options["like"] is not None:
         _refuse_with_like()
@@ -183,8 +182,7 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
     lamp = options["lamp"]
     kept = None if options["layout_file"] is None else read_layout(options["layout_file"])
     signs = {"tab": "\t", "blank": " "}
-    read = partial(
-        read_measured_csv,
+    measured = read_measured_csv(
         csv_file,
         time=options["time"],
         time_unit=options["time_unit"],
@@ -201,12 +199,10 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
         repeated=options["repeated"],
         sheet=options["sheet"],
         layout=kept,
+        flux=lamp,
     )
-    measured = read()
     depths = {measured.name_of(name): depth for name, depth in depths.items()}
     lamp = None if lamp is None else measured.name_of(lamp)
-    if any(c.name == lamp and c.kind != FLUX for c in measured.columns):
-        measured = read(flux=lamp)
     print_table(measured.table())
     print_table(measured.first_rows())
     if options["like"] is not None:

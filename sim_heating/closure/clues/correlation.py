@@ -12,7 +12,6 @@ degrees of freedom, corrected for the number of variables and lags (Sidak).
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeVar
@@ -22,7 +21,7 @@ from scipy.special import stdtr
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import DERIVED, HEATING, RATIO_VARIABLES, STATE
-from sim_heating.base.errors import LeftOutWarning, reason_of
+from sim_heating.base.errors import tell_left_out
 from sim_heating.base.parallel.threads import one_thread
 from sim_heating.closure.clues.axial_force import AxialStep, axial_steps
 from sim_heating.closure.clues.hysteresis import HysteresisLoop, hysteresis_loops
@@ -203,8 +202,7 @@ def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> ResidualEv
         try:
             return make()
         except Exception as error:
-            left_out[title] = reason_of(error)
-            warnings.warn(f"evidence, {title}: left out ({reason_of(error)})", LeftOutWarning, stacklevel=2)
+            left_out[title] = tell_left_out(f"evidence, {title}", error)
             return substitute
 
     varying = {n: v for n, v in variables.items() if np.ptp(v[residual.fitted]) > 0.0}
