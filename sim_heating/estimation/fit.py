@@ -374,27 +374,18 @@ def estimate(
     >>> fit.parameters["ratio.scale"].sigma < 0.01, fit.success
     (True, True)
     """
-    if profiles and process_noise is not None:
-        raise InputError(WITHOUT_NOISE.format(profiles[0]))
-    if error_of is not None and process_noise is not None:
-        raise InputError("the error of the model and process noise: both are of the heating; leave one of the two out")
+    if process_noise is not None:
+        _refuse_beside_noise(profiles, error_of)
     listed = [records] if isinstance(records, (Record, str, os.PathLike)) else records
     loaded, outliers, notes = _cleaned(load_records(listed), progress)
     options = FitOptions(effects, fixed=fixed, priors=priors, bounds=bounds, ties=ties, starts=starts)
     first = {} if settings is None else settings.first_values
     problem, omitted = _informed_problem(loaded, parameters, joint_reference(loaded, reference), options, first)
-    stated = [] if error_of is None else [error_of(r.record) for r in problem.record_fits]
-    if process_noise is not None and any(not isinstance(r.by_pressure_K, float) for r in problem.record_fits):
-        raise InputError(f"`{PRESSURE_FACTOR.name}`: no filter with process noise changes it; leave one of the two out")
-    start, innovations = first_values(problem, first), None
-    if any(s.heating is not None for s in stated):
-        problem, fit = _fit_with_errors(problem, start, stated, settings)
+    innovations = None
+    if process_noise is not None:
+        fit, innovations = _fit_with_noise(problem, process_noise, first, settings, progress)
     else:
-        fit = _fit(problem, start, settings, progress)
-        if process_noise is None:
-            problem, fit = _with_noisy_conditions(problem, fit, settings)
-        elif fit.status is not Status.NO_START:
-            fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
+        problem, fit = _fit_without_noise(problem, error_of, first, settings, progress)
     wanted_profiles = problem.owners.labels(profiles)
     check_profiles(wanted_profiles, [u.label for u in problem.unknowns], innovations)
     fit_result = replace(_fit_result(problem, fit, omitted, notes, innovations), outliers=tuple(outliers))
@@ -402,6 +393,13 @@ def estimate(
     if not profiles:
         return fit_result
     return replace(fit_result, profiles={name: fit_result.profile(name) for name in wanted_profiles})
+
+
+def _refuse_beside_noise(profiles: Sequence[str], error_of: Callable[[Record], StatedError] | None) -> None:
+    if profiles:
+        raise InputError(WITHOUT_NOISE.format(profiles[0]))
+    if error_of is not None:
+        raise InputError("the error of the model and process noise: both are of the heating; leave one of the two out")
 
 
 def _cleaned(records: Sequence[Record], progress: Progress) -> tuple[list[Record], list[Outlier], list[str]]:
@@ -760,6 +758,35 @@ def _fit_with_errors(
         fit = maximise(noisy.evaluate, noisy.parameters, fit.values, noisy.log_likelihoods, settings)
         fit = replace(fit, iterations=steps + fit.iterations)
     return noisy, fit
+
+
+def _fit_without_noise(
+    problem: FitProblem,
+    error_of: Callable[[Record], StatedError] | None,
+    first: Mapping[str, float],
+    settings: NewtonSettings | None,
+    progress: Progress,
+) -> tuple[FitProblem, Fit]:
+    """The fit with the errors of the models where these are stated, else with the noise of the conditions alone."""
+    stated = [] if error_of is None else [error_of(r.record) for r in problem.record_fits]
+    start = first_values(problem, first)
+    if any(s.heating is not None for s in stated):
+        return _fit_with_errors(problem, start, stated, settings)
+    return _with_noisy_conditions(problem, _fit(problem, start, settings, progress), settings)
+
+
+def _fit_with_noise(
+    problem: FitProblem,
+    noise: ProcessNoise,
+    first: Mapping[str, float],
+    settings: NewtonSettings | None,
+    progress: Progress,
+) -> tuple[Fit, Innovations | None]:
+    """The fit without process noise, and from its values that with it; the first alone where it has no start."""
+    if any(not isinstance(r.by_pressure_K, float) for r in problem.record_fits):
+        raise InputError(f"`{PRESSURE_FACTOR.name}`: no filter with process noise changes it; leave one of the two out")
+    fit = _fit(problem, first_values(problem, first), settings, progress)
+    return (fit, None) if fit.status is Status.NO_START else _fit_filtered(problem, noise, fit, progress)
 
 
 def _fit_filtered(problem: FitProblem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:
