@@ -103,8 +103,9 @@ def point_inputs(points: Sequence[str], x_over_L: Mapping[str, str], ratios: Map
     if (twice := repeated_name(names)) is not None:
         raise InputError(f"--point {twice}: is given twice; leave one out")
     for option, values in (("--place", x_over_L), ("--ratio", ratios)):
-        if unknown := [name for name in values if name not in names]:
-            raise InputError(f"{option} {unknown[0]}: there is no --point {unknown[0]}; known: {', '.join(names)}")
+        for name in values:
+            if name not in names:
+                raise InputError(f"{option} {name}: there is no --point {name}; known: {', '.join(names)}")
     return inputs
 
 
@@ -200,11 +201,15 @@ def write_new_vehicle(out: str | os.PathLike[str], design: VehicleInput) -> tupl
     return load_vehicle(out), notes
 
 
-def _values(name: str, design: VehicleInput) -> dict[str, Any]:
-    """Variables of the templates."""
-    for option, value in (("length", design.length_m), ("mass", design.mass_kg), ("area", design.area_m2)):
+def _require_positive(**values: float) -> None:
+    for option, value in values.items():
         if not value > 0.0:
             raise InputError(f"--{option}: must be above 0")
+
+
+def _values(name: str, design: VehicleInput) -> dict[str, Any]:
+    """Variables of the templates."""
+    _require_positive(length=design.length_m, mass=design.mass_kg, area=design.area_m2)
     guidance_of = GLIDER if design.lift_to_drag >= GLIDES_FROM else CAPSULE
     guidance = read_toml_dict(vehicle_directory(guidance_of) / "guidance.toml")
     for key in ("format", "source", "confidence", "alpha_deg", "alpha_limits_deg", "alpha_against", "approach"):
