@@ -219,8 +219,9 @@ def bic_of_truth_above(record: Any, answer: Mapping[str, Any], found: Any, probl
     """BIC of a fit that knows the form of the truth, less that of what was found; None where it cannot be fitted."""
     from sim_heating.base.errors import RunError
     from sim_heating.base.parameters import EFFECT_PREFIX
-    from sim_heating.estimation.fit import default_names, estimate
+    from sim_heating.estimation.fit import estimate
     from sim_heating.estimation.inference.newton import NewtonSettings
+    from sim_heating.estimation.inference.observability import default_names
     from sim_heating.heating.effects import effects, use
 
     first: dict[str, float] = {}

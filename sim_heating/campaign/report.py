@@ -247,6 +247,13 @@ def _not_estimated(rows: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], l
     return groups_of
 
 
+def _style(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Colour and width of the estimates of a fit."""
+    if len(row["flights"]) > 1:
+        return {"color": "tab:blue", "linewidth": 2.2}
+    return {"color": "0.45" if not usable(row) else "tab:red", "linewidth": 1.1}
+
+
 def _draw(point: str, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Each parameter by manoeuvre, the single flights in grey and all together in colour."""
     groups = list(dict.fromkeys(r["group"] for r in rows))
@@ -262,14 +269,8 @@ def _draw(point: str, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -
             fits = [r for r in rows if r["group"] == group and name in r["parameters"]]
             for i, r in enumerate(fits):
                 p = r["parameters"][name]
-                is_joint = len(r["flights"]) > 1
                 height = k + 0.7 * ((i + 0.5) / len(fits) - 0.5)
-                style = (
-                    {"color": "tab:blue", "linewidth": 2.2}
-                    if is_joint
-                    else {"color": "0.45" if not usable(r) else "tab:red", "linewidth": 1.1}
-                )
-                a.errorbar(p["value"], height, xerr=2.0 * p["sigma"], fmt="o", markersize=3.5, **style)
+                a.errorbar(p["value"], height, xerr=2.0 * p["sigma"], fmt="o", markersize=3.5, **_style(r))
         unit = MODEL[name].unit
         a.set_xlabel(f"{name}" if unit == "1" else f"{name}, {unit}")
         a.axvline(0.0, color="0.7", linewidth=0.8)

@@ -24,20 +24,9 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from sim_heating.base import files
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import RunError
-from sim_heating.base.files import (
-    display_path,
-    exclusive,
-    output_directory,
-    raise_problems,
-    require_writable,
-    results_digest,
-    settle_below,
-    suggestion,
-    write_json,
-    write_text_atomic,
-)
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel.batches import Job, Outcome, run_batches
 from sim_heating.base.progress import Progress, no_progress
@@ -98,7 +87,7 @@ class Engine:
                 progress=progress,
             )
         except KeyboardInterrupt:  # processes that were ended leave what they had begun to write
-            settle_below(self.out)
+            files.settle_below(self.out)
             raise
 
 
@@ -136,11 +125,11 @@ def run_campaign(
     """
     campaign, out = load_campaign(campaign), Path(out)
     engine = Engine(out, scheduler, workers)
-    with exclusive(out):
-        require_writable(out, COMMAND, expected=FILES, inputs=campaign.files)
+    with files.exclusive(out):
+        files.require_writable(out, COMMAND, expected=FILES, inputs=campaign.files)
         flights, checks = _flights(campaign, engine, _stage(progress, "flights"))
         groups = groups_of(flights, campaign.declared.joint.speed_tolerance)
-        raise_problems(_idle_settings(campaign, flights) if groups else [])
+        files.raise_problems(_idle_settings(campaign, flights) if groups else [])
         result = CampaignResult(campaign, out, tuple(flights), frozenset(checks), tuple(groups))
         if not groups:
             result.omitted.append(NO_MANOEUVRE)
@@ -153,11 +142,11 @@ def run_campaign(
         if campaign.declared.update_tables:
             revise_tables(result, _doubts(result, carried), out / TABLES, _stage(progress, "tables"))
         progress(1.0, "writing")
-        with output_directory(out, COMMAND, inputs=campaign.files) as folder:
-            write_json(folder / SUMMARY, result.as_json())
+        with files.output_directory(out, COMMAND, inputs=campaign.files) as folder:
+            files.write_json(folder / SUMMARY, result.as_json())
             write_csvs(folder, result)
             if result.walks:
-                write_text_atomic(folder / NEXT_FLIGHT, next_flight_settings(result.walks))
+                files.write_text_atomic(folder / NEXT_FLIGHT, next_flight_settings(result.walks))
             write_campaign_page(folder / PAGE, result)
     return result
 
@@ -206,11 +195,11 @@ def _idle_settings(campaign: Campaign, flights: Sequence[CampaignFlight]) -> lis
             continue
         stated = {key: getattr(settings, key) for key in known}
         reasons = [
-            f"`{key}`: there is no {name}{suggestion(name, known[key])}"
+            f"`{key}`: there is no {name}{files.suggestion(name, known[key])}"
             for key, name in stated.items()
             if name is not None and name not in known[key]
         ] or [f"{', '.join(f'`{key}`' for key, name in stated.items() if name is not None)}: no fit has them together"]
-        lines += [f"{display_path(campaign.path)}, [[fit_of]] {i}: {reason}" for reason in reasons]
+        lines += [f"{files.display_path(campaign.path)}, [[fit_of]] {i}: {reason}" for reason in reasons]
     return lines
 
 
@@ -237,12 +226,12 @@ def _fly(task: FlyTask) -> bytes:
     for seed, folder in zip(task.seeds, task.folders, strict=True):
         seeded = scenario if seed is None else with_seed(scenario, seed)
         write_records(seeded, synthesize(seeded, flight=flown), folder)
-    return json.dumps([results_digest(folder) for folder in task.folders]).encode()
+    return json.dumps([files.results_digest(folder) for folder in task.folders]).encode()
 
 
 def _records_are_there(job: Job, finished: bytes) -> bool:
     try:
-        return bool(json.loads(finished) == [results_digest(folder) for folder in job.task.folders])
+        return bool(json.loads(finished) == [files.results_digest(folder) for folder in job.task.folders])
     except ValueError:
         return False
 

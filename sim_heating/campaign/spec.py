@@ -35,6 +35,7 @@ from sim_heating.base.files import (
     Location,
     Roots,
     display_path,
+    raise_located,
     raise_problems,
     read_toml,
     repeated_name,
@@ -147,8 +148,7 @@ class CampaignFile(Declared):
                 problems.append((("ageing", name), "no fit estimates it; add it to `parameters` of [fit]"))
             if name in self.fit.prior or name in self.fit.fix:
                 problems.append((("ageing", name), "has a value beforehand in [fit], which every flight would count"))
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return self
 
 

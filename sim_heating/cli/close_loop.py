@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,7 +63,7 @@ def close_loop(
 
     directories = find_records(records, root)
     if joint:
-        if scheduler is not None or workers is not None:
+        if (scheduler, workers) != (None, None):
             raise InputError("--joint: the records are searched in one process; leave out --scheduler and --workers")
         _close_jointly(directories, out, parameters, root)
         return
@@ -114,14 +115,12 @@ def _close_jointly(directories: list[Path], out: Path, parameters: tuple[str, ..
     print_table(evidence_table(closed.report))
     report = closed.report
     CONSOLE.print(f"{report.in_words()}. {report.certainty()}")
-    for cause in report.statement.not_effects:
-        CONSOLE.print(f"Not an aerothermal effect ({cause.kind}): {cause.what}")
+    lines = [f"Not an aerothermal effect ({cause.kind}): {cause.what}" for cause in report.statement.not_effects]
     for effect in report.effects:
         if effect.parameters:
-            CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")
-    for line in report.statement.would_tell():
-        CONSOLE.print(f"To tell them apart: {line}")
-    for line in report.remarks():
+            lines.append(f"{effect.name}: {', '.join(starmap(_bound, effect.parameters.items()))}")
+    lines += [f"To tell them apart: {line}" for line in report.statement.would_tell()]
+    for line in (*lines, *report.remarks()):
         CONSOLE.print(line)
     for line in report.warnings:
         print_warning(line)

@@ -25,6 +25,7 @@ from sim_heating.cli.console import (
 from sim_heating.cli.parameter_options import merged_settings, parameter_options
 
 if TYPE_CHECKING:
+    from sim_heating.estimation.fit import FitResult
     from sim_heating.inputs.fit_settings import FitSettings
     from sim_heating.inputs.record import Record
 
@@ -152,17 +153,19 @@ def _process_noise(nodes: str | None, ratio: str | None) -> Any:
     if nodes is None and ratio is None:
         return None
     q, sigma, tau, estimated = 0.0, 0.0, ProcessNoise().ratio_correlation_s, []
-    if nodes == ESTIMATED:
-        q, estimated = FIRST_GUESS[NODE], [NODE]
-    elif nodes is not None:
-        q = _level(nodes, f"--process-noise {nodes}: give K/sqrt(s), as 0.2, or `{ESTIMATED}`")
+
+    def level(text: str, name: str, hint: str) -> float:
+        if text != ESTIMATED:
+            return _level(text, hint)
+        estimated.append(name)
+        return FIRST_GUESS[name]
+
+    if nodes is not None:
+        q = level(nodes, NODE, f"--process-noise {nodes}: give K/sqrt(s), as 0.2, or `{ESTIMATED}`")
     if ratio is not None:
         first, _comma, time_s = ratio.partition(",")
         hint = f"--ratio-noise {ratio}: give sigma and correlation time in s, as 0.01,30, or `{ESTIMATED}`"
-        if first == ESTIMATED:
-            sigma, estimated = FIRST_GUESS[RATIO], [*estimated, RATIO]
-        else:
-            sigma = _level(first, hint)
+        sigma = level(first, RATIO, hint)
         if time_s:
             tau = _level(time_s, hint)
         elif first == ESTIMATED:
@@ -286,7 +289,6 @@ def estimate(
         return
     from sim_heating.closure.prior.model_error import stated_error
     from sim_heating.estimation.fit import estimate as fit_records
-    from sim_heating.estimation.report.remarks import further_warnings
     from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
     from sim_heating.inputs.record import load_records
 
@@ -314,14 +316,7 @@ def estimate(
         names = write_fit(fitted, out)
     contents = estimate_contents(fitted)
     print_table(estimate_table(f"{', '.join(r.name for r in loaded)}: estimate", contents))
-    for line in _parameter_lines(contents, [profile.in_words() for profile in fitted.profiles.values()]):
-        CONSOLE.print(line)
-    for remark in contents.remarks:
-        print_warning(remark.in_words)
-    for line in further_warnings(fitted.warnings, contents.remarks):
-        print_warning(line)
-    if fitted.innovations is not None:
-        CONSOLE.print(fitted.innovations.levels.noise.summary())
+    _print_fit(fitted, contents)
     _print_errors(contents)
     print_outputs(out, names, "estimate.json")
     if not contents.converged:
@@ -403,11 +398,24 @@ def _parameter_lines(contents: Any, profiles: Sequence[str]) -> Iterator[str]:
         yield f"{name}: not estimated, {why}"
 
 
+def _print_fit(fitted: FitResult, contents: Any) -> None:
+    """Print what a fit has besides its parameters: tied and fixed ones, profiles, warnings, levels of noise."""
+    from sim_heating.estimation.report.remarks import further_warnings
+
+    for line in _parameter_lines(contents, [profile.in_words() for profile in fitted.profiles.values()]):
+        CONSOLE.print(line)
+    for line in (*(r.in_words for r in contents.remarks), *further_warnings(fitted.warnings, contents.remarks)):
+        print_warning(line)
+    if fitted.innovations is not None:
+        CONSOLE.print(fitted.innovations.levels.noise.summary())
+
+
 def _print_errors(contents: Any) -> None:
     """Print RMSE of the declared and the fitted model and of the innovations of a filter, and the noise floor."""
     from sim_heating.estimation.report.remarks import floor_in_words, samples_in_words
 
-    declared, innovations = (contents.model_extra or {}).get("predicted") or {}, contents.innovations
+    extra, innovations = contents.model_extra or {}, contents.innovations
+    declared = extra.get("predicted") or {}
     march = "" if innovations is None else ", plain march without readings"
     for segments in ("fit", "holdout"):
         before, after = declared.get(segments), getattr(contents, segments)
@@ -423,7 +431,7 @@ def _print_errors(contents: Any) -> None:
         )
     if floor := floor_in_words(contents):
         CONSOLE.print(f"Noise floor: {floor}")
-    if samples := samples_in_words((contents.model_extra or {}).get("samples", {})):
+    if samples := samples_in_words(extra.get("samples", {})):
         CONSOLE.print(f"Samples: {samples}")
 
 

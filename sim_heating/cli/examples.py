@@ -8,6 +8,7 @@ documentation gives (`scenarios/popu_mach20.toml`). A line on standard error say
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +36,12 @@ def example_path(name: str) -> Path | None:
     path = Path(name)
     if path.is_absolute() or ".." in path.parts or not path.parts:
         return None
-    root = next((folder for folder in data_folders("scenarios") if folder.is_dir()), None)
+    root = next(filter(Path.is_dir, data_folders("scenarios")), None)
     if root is None:
         return None
     below = Path(*path.parts[1:]) if path.parts[0] == "scenarios" and len(path.parts) > 1 else path
     candidates = (root / folder / file for folder in FOLDERS for file in (f"{below}.toml", str(below)))
-    return next((candidate for candidate in candidates if _is_example(candidate)), None)
+    return next(filter(_is_example, candidates), None)
 
 
 def _is_example(path: Path) -> bool:
@@ -96,7 +97,7 @@ def _copy(out: Path) -> list[Path]:
     """
     from sim_heating.base.files import OR_FORCE, replace_files, replaces_others
 
-    copies = {file: data for name in COPIED for file, data in _shipped(name)}
+    copies = dict(chain.from_iterable(map(_shipped, COPIED)))
     there = {f: (out / f).read_bytes() for f in copies if (out / f).exists()}
     new = {f: data for f, data in copies.items() if there.get(f) != data}
     changed = [f for f in new if f in there]

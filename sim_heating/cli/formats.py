@@ -24,17 +24,14 @@ def formats(name: str | None, as_schema: bool) -> None:
 
     Example: sim-heating formats record
     """
-    from sim_heating.base.report.table import Column, Table
-    from sim_heating.formats.catalogue import FORMATS, ModelFormat, format_named
+    from sim_heating.formats.catalogue import ModelFormat, format_named
     from sim_heating.formats.key_tables import key_tables
     from sim_heating.formats.schema_files import schema, schema_text
 
     if name is None:
         if as_schema:
             raise InputError("--schema is of one format; give its name")
-        columns = [Column(head, is_text=True) for head in ("name", "file", "what it is")]
-        print_table(Table("File formats", columns, [(f.name, f.file, f.title) for f in FORMATS]))
-        report_results({"formats": [{"name": f.name, "file": f.file, "title": f.title} for f in FORMATS]})
+        _print_formats()
         return
     chosen = format_named(name)
     if as_schema:
@@ -48,6 +45,15 @@ def formats(name: str | None, as_schema: bool) -> None:
         if table.keys:
             print_table(_keys(table, f"{table.heading or chosen.file}: {table.about or chosen.title}"))
     report_results({"file": chosen.file, "tables": [asdict(table) for table in tables]})
+
+
+def _print_formats() -> None:
+    from sim_heating.base.report.table import Column, Table
+    from sim_heating.formats.catalogue import FORMATS
+
+    columns = [Column(head, is_text=True) for head in ("name", "file", "what it is")]
+    print_table(Table("File formats", columns, [(f.name, f.file, f.title) for f in FORMATS]))
+    report_results({"formats": [{"name": f.name, "file": f.file, "title": f.title} for f in FORMATS]})
 
 
 def _keys(table: KeyTable, title: str) -> Table:

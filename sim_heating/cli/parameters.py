@@ -23,6 +23,7 @@ from sim_heating.cli.output import report_results
 
 if TYPE_CHECKING:
     from sim_heating.estimation.parameter_list import ParameterList
+    from sim_heating.inputs.scenario import Scenario
 
 LEGEND = (
     "sigma: standard deviation that the record's readings allow, white noise, the default heating estimated as well",
@@ -80,8 +81,6 @@ def _lists(
     from sim_heating.estimation.parameter_list import parameter_list, scenario_parameters
     from sim_heating.inputs.record import DECLARATION, load_record
     from sim_heating.inputs.scenario import load_scenario
-    from sim_heating.simulation.run import require_points
-    from sim_heating.simulation.synthesize import synthesize
 
     if path.is_dir() or path.name == DECLARATION:
         if points is not None:
@@ -96,10 +95,19 @@ def _lists(
     scenario = load_scenario(path, root=root)
     if points is None:
         return scenario_parameters(scenario, effects=effects), list(scenario.files)
+    return _of_points(scenario, points, effects), list(scenario.files)
+
+
+def _of_points(scenario: Scenario, points: tuple[str, ...], effects: tuple[str, ...]) -> list[ParameterList]:
+    """The parameters of control points, by what each does to its synthetic readings."""
+    from sim_heating.estimation.parameter_list import parameter_list
+    from sim_heating.simulation.run import require_points
+    from sim_heating.simulation.synthesize import synthesize
+
     require_points(points, scenario.names, "--point")
     with progress_line("parameters") as progress:
         records = synthesize(scenario, progress=lambda f, text: progress(0.8 * f, text))
         without = [name for name in points if name not in records]
         if without:
             raise InputError(f"--point: {', '.join(without)} has no thermocouple; choose a point that has")
-        return [parameter_list(records[name], effects=effects) for name in points], list(scenario.files)
+        return [parameter_list(records[name], effects=effects) for name in points]

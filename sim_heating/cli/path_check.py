@@ -147,7 +147,7 @@ def _format_rule(stated: object) -> str:
 def _csv(path: Path, root: Path | None) -> CheckedPath:
     text = read_text(path)
     head = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
-    columns = {name.strip() for name in head.split(",")}
+    columns = {*map(str.strip, head.split(","))}
     if "time_s" in columns and (path.parent / DECLARATION).is_file():
         return _directory(path.parent, root)
     if path.parent.name == "aero" and (vehicle := _vehicle_of(path)) is not None:

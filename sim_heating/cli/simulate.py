@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from sim_heating.base.progress import Progress
     from sim_heating.base.report.table import Table
     from sim_heating.heating.edge_flow import EdgeFlow
+    from sim_heating.inputs.record import Record
     from sim_heating.inputs.scenario import Scenario
+    from sim_heating.inputs.vehicle import Vehicle
     from sim_heating.march.point import PointModel
     from sim_heating.planning.bands import Member
     from sim_heating.simulation.predict import Prediction
@@ -47,12 +49,25 @@ MEMBERS = click.option(
 
 
 def _members(members: tuple[tuple[Path, float], ...], bands: bool, root: Path | None) -> Sequence[Member]:
-    """Members of the bands; raises InputError for a member without bands."""
+    """Members of the bands, none without bands; raises InputError for a member without bands."""
+    if not bands:
+        if members:
+            raise InputError("--member: is for --bands; add that option")
+        return ()
     from sim_heating.planning.bands import DECLARED, read_member
 
-    if members and not bands:
-        raise InputError("--member: is for --bands; add that option")
     return tuple(read_member(path, weight, root) for path, weight in members) or DECLARED
+
+
+def _models(loaded: Sequence[Record], revised: Vehicle | None) -> list[tuple[PointModel, EdgeFlow | None]]:
+    """Model and flow of each record: with the tables and effects of a vehicle, else as the record declares them."""
+    from sim_heating.inputs.points import point_of_record, point_with_vehicle_table
+
+    if revised is not None:
+        return [point_with_vehicle_table(record, revised) for record in loaded]
+    for record in loaded:
+        record.require_ratio()
+    return [(point_of_record(record), None) for record in loaded]
 
 
 @click.command()
@@ -91,7 +106,7 @@ def run(
     )
 
     loaded = load_scenario(scenario, root=root)
-    of_bands = _members(members, bands, root) if bands or members else ()
+    of_bands = _members(members, bands, root)
     if plot_points is not None:
         require_points(plot_points, loaded.names, "--plot-points")
     require_writable(out, "run", expected=files_of(loaded), inputs=loaded.files)
@@ -146,17 +161,24 @@ def _print_run_warnings(contents: dict[str, Any]) -> None:
         )
 
 
+def _print_prediction_warnings(summaries: dict[str, Any]) -> None:
+    _print_range_warnings(summaries)
+    for name, contents in summaries.items():
+        if contents["beyond_reference"]:
+            print_warning(f"{name}: {contents['beyond_reference']}")
+
+
 def _print_range_warnings(points: dict[str, Any]) -> None:
     """Print conditions outside tables and negative heating ratios, by control point or record."""
-    outside: dict[str, list[str]] = {}
+    outside: dict[str, list[tuple[str, float, float]]] = {}
     for name, point in points.items():
         for o in point["outside_table"]:
-            outside.setdefault(o["variable"], []).append(name)
+            outside.setdefault(o["variable"], []).append((name, o["duration_s"], o["farthest"]))
         if point["negative_ratio_s"] > 0.0:
             print_warning(f"{name}: the heating ratio was negative for {point['negative_ratio_s']:.0f} s")
-    for variable, names in outside.items():
-        every = [o for n in names for o in points[n]["outside_table"] if o["variable"] == variable]
-        longest, farthest = max(o["duration_s"] for o in every), max(o["farthest"] for o in every)
+    for variable, excursions in outside.items():
+        names, durations_s, distances = zip(*excursions, strict=True)
+        longest, farthest = max(durations_s), max(distances)
         unlisted = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
         print_warning(
             f"{variable} lay outside the ratio tables of {', '.join(names[:SHOWN_NAMES])}{unlisted}, up to "
@@ -326,7 +348,7 @@ def predict(
     from sim_heating.base.files import require_writable
     from sim_heating.base.parallel.processes import in_copy
     from sim_heating.inputs.declared_effects import left_out
-    from sim_heating.inputs.points import point_of_record, point_with_vehicle_table, undeclared_effects
+    from sim_heating.inputs.points import undeclared_effects
     from sim_heating.inputs.record import load_records
     from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.simulation.predict import FILES, load_writers, summary
@@ -334,24 +356,19 @@ def predict(
     from sim_heating.simulation.results import prediction_table
 
     loaded = load_records(records, root=root)
-    revised = None if vehicle is None else load_vehicle(vehicle, root=root)
+    inputs = [record.directory for record in loaded]
+    revised = None
+    if vehicle is not None:
+        revised = load_vehicle(vehicle, root=root)
+        inputs.append(revised.directory)
     folders = [out if len(loaded) == 1 else out / record.name for record in loaded]
-    inputs = [record.directory for record in loaded] + ([] if revised is None else [revised.directory])
     require_writable(out, "predict", inputs=inputs)
     for folder in folders:
         require_writable(folder, "predict", expected=FILES, inputs=inputs)
     with error_context("--without"):
         absent = left_out(without or ())
-    models: list[tuple[PointModel, EdgeFlow | None]]
-    of_vehicle: Iterable[str | None] = ()
-    if revised is None:
-        for record in loaded:
-            record.require_ratio()
-        models = [(point_of_record(record), None) for record in loaded]
-        of_vehicle = () if absent else map(undeclared_effects, loaded)
-    else:
-        models = [point_with_vehicle_table(record, revised) for record in loaded]
-    of_bands = _members(members, bands, root) if bands or members else ()
+    models = _models(loaded, revised)
+    of_bands = _members(members, bands, root)
 
     def predicted(progress: Progress) -> list[Prediction]:
         predictions = []
@@ -373,12 +390,10 @@ def predict(
         names = _write_predictions(predictions, folders, out)
     summaries = {p.record.name: summary(p) for p in predictions}
     print_table(prediction_table(list(summaries.values())))
-    _print_range_warnings(summaries)
-    for name, contents in summaries.items():
-        if contents["beyond_reference"]:
-            print_warning(f"{name}: {contents['beyond_reference']}")
-    for line in filter(None, of_vehicle):
-        CONSOLE.print(line)
+    _print_prediction_warnings(summaries)
+    if revised is None and not absent:
+        for line in filter(None, map(undeclared_effects, loaded)):
+            CONSOLE.print(line)
     print_outputs(out, map(str, names), "summary.json" if len(summaries) == 1 else {"records": summaries})
 
 

@@ -30,16 +30,7 @@ from sim_heating.closure.result import PARTLY, Closure, JointClosure
 from sim_heating.closure.search.joint_model import joined
 from sim_heating.closure.search.joint_search import JointSearch, search_jointly
 from sim_heating.closure.search.search import SearchResult, search_effects
-from sim_heating.closure.search.trials.trial_fit import (
-    QUICK,
-    WIDENED,
-    TrialFit,
-    declared_fit,
-    fitted_effects,
-    fitted_values,
-    sample_count,
-    with_error,
-)
+from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.statement import closure_of, is_exact, joint_closure_of, probability_of
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import FitResult, check_joint_records, estimate, fit_problem
@@ -63,7 +54,7 @@ COMMAND = "close-loop"
 """Name under which its results are listed."""
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
-REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=QUICK.trust_radius)
+REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=trial_fit.QUICK.trust_radius)
 """Convergence of the last fit: far within its bounds; no step is longer than those of the search."""
 
 
@@ -157,8 +148,8 @@ def _samples(result: SearchResult, outliers: int) -> dict[str, Any]:
     left_out = dict(none.problem.record_fits[0].left_out)
     if outliers:
         left_out["outliers"] = outliers
-    held_out = 0 if none.held_out is None else sample_count(none.held_out)
-    return {"fit": sample_count(none.problem), "holdout": held_out, "left_out": left_out}
+    held_out = 0 if none.held_out is None else trial_fit.sample_count(none.held_out)
+    return {"fit": trial_fit.sample_count(none.problem), "holdout": held_out, "left_out": left_out}
 
 
 def _few_samples(samples: Mapping[str, Any]) -> list[str]:
@@ -196,19 +187,19 @@ def _declared(result: SearchResult) -> FitResult:
         return result.before
     error = none.record_fit.model_error
     if compared is not None and error is not None:
-        none = with_error(none, error.of_size(error.sigma, error.correlation, compared.flight_scale))
+        none = trial_fit.with_error(none, error.of_size(error.sigma, error.correlation, compared.flight_scale))
     return _fit_whole(result.record, none)
 
 
-def _fit_whole(record: Record, trial: TrialFit) -> FitResult:
+def _fit_whole(record: Record, trial: trial_fit.TrialFit) -> FitResult:
     """The whole record fitted with the model of a trial, and with the error that this has."""
     return fit_problem(_whole_problem(record, trial), trial.fit.values, settings=REFIT)
 
 
-def _whole_problem(record: Record, trial: TrialFit) -> FitProblem:
+def _whole_problem(record: Record, trial: trial_fit.TrialFit) -> FitProblem:
     """The problem of a whole record with the model of a trial, and the error that this has, if any."""
     fit = trial.record_fit
-    error, effects = fit.model_error, fitted_effects(trial)
+    error, effects = fit.model_error, trial_fit.fitted_effects(trial)
     if error is None:
         options = FitOptions(effects, priors=refit_priors(trial))
         return FitProblem([record], fit.names, trial.problem.reference, options)
@@ -237,26 +228,27 @@ def refit(result: SearchResult) -> FitResult:
     best = result.compared
     if best is result.none:
         return _declared(result)
-    record, change = result.record, best.change
-    if best.changed is not None and change is not None:
-        record = change.apply(record, best.changed.value)
-    if change is not None and not best.added:
-        return declared_fit(record, [*result.before.labels, *change.free] or None)
+    record, change, in_model = result.record, best.change, list[str]()
+    if change is not None:
+        if best.changed is not None:
+            record = change.apply(record, best.changed.value)
+            in_model = list(best.changed.estimates if change.in_model else [])
+        if not best.added:
+            return trial_fit.declared_fit(record, [*result.before.labels, *change.free] or None)
     last = best.last
     if not is_exact(last):
         return _fit_whole(record, last)
-    in_model = best.changed.estimates if best.changed is not None and change is not None and change.in_model else []
     return estimate(
         [record],
         [n for n in last.record_fit.names if n not in in_model],
         reference=dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True)),
-        effects=fitted_effects(last),
+        effects=trial_fit.fitted_effects(last),
         priors=refit_priors(last),
-        settings=replace(REFIT, first_values=fitted_values(last)),
+        settings=replace(REFIT, first_values=trial_fit.fitted_values(last)),
     )
 
 
-def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
+def refit_priors(trial: trial_fit.TrialFit) -> dict[str, Parameter]:
     """Priors of the last fit with the effects of a trial, by dotted name: those of the search.
 
     With the declared ones the last fit could end at other values than those that were ranked: a lag of 30 s is 60
@@ -268,7 +260,7 @@ def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
     for name in fit.march_names:
         if name.startswith(EFFECT_PREFIX):
             parameter = fit.model.definition(name)
-            priors[name] = replace(parameter, sigma=WIDENED * parameter.sigma)
+            priors[name] = replace(parameter, sigma=trial_fit.WIDENED * parameter.sigma)
     return priors
 
 

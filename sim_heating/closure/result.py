@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -514,17 +514,20 @@ class JointClosure:
             lines.append(f"Error of flight {flight}, of all its points: {flight_in_words(errors) or 'not told apart'}")
         if best.model is None or not self.search.explained:
             return lines
-        for e in self.search.evidence:
-            if e.verdict == "contradicts it":
-                lines.append(
-                    f"{e.record} contradicts {' + '.join(best.names)}: with the values of the other records its score "
-                    f"is {-e.for_cause:.0f} worse than without it; by itself it concludes: {finding_alone(e)}"
-                )
-            elif e.verdict == "other values":
-                lines.append(f"{e.record} gives other values than those in common (p = {e.agreement:.1g})")
         widest = best.model.cause.widest
         narrower = [name for name, level in best.model.levels.items() if level != widest[name]]
-        return lines + [line for name in narrower if (line := self._values_apart(name))]
+        return [*lines, *self._verdicts(), *filter(None, map(self._values_apart, narrower))]
+
+    def _verdicts(self) -> Iterator[str]:
+        for e in self.search.evidence:
+            if e.verdict == "contradicts it":
+                yield (
+                    f"{e.record} contradicts {' + '.join(self.search.best.names)}: with the values of the other "
+                    f"records its score is {-e.for_cause:.0f} worse than without it; by itself it concludes: "
+                    f"{finding_alone(e)}"
+                )
+            elif e.verdict == "other values":
+                yield f"{e.record} gives other values than those in common (p = {e.agreement:.1g})"
 
     def _values_apart(self, name: str) -> str:
         """The values of a parameter that several records or points have each for itself; empty for a common one."""

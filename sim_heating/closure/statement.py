@@ -77,7 +77,7 @@ def closure_of(
     not_effects = _not_effects(result)
     of_trajectory = [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
     of_magnitude = magnitude_fault(fitted.problem, fitted.fit.values)
-    faults = [f for f in (start_fault(result.record), *of_trajectory, of_magnitude) if f is not None]
+    faults = list(filter(None, (start_fault(result.record), *of_trajectory, of_magnitude)))
     return Closure(
         record=result.record,
         predicted=None if result.record.lacks_ratio else before.before[0],
@@ -313,7 +313,7 @@ def _statement(
 def _in_words(search: Compared, name: str) -> str:
     """An alternative as the report has it: the name of an effect, another cause with its value."""
     hypotheses = [search.conclusion.best, *(h for h in search.hypotheses if h.names == (name,))]
-    of_record = [h for h in hypotheses if h.model is None and name in h.names and name not in h.effects]
+    of_record = [h for h in hypotheses if h.model is None and name in {*h.names} - {*h.effects}]
     causes = [cause for h in of_record for cause in _causes(h)]
     return next((c.what for c in causes if (c.kind == "table") == (name == TABLE)), name)
 
@@ -457,11 +457,14 @@ def joint_closure_of(
     after = [closure.before for closure in closures]
     for i, prediction in zip(search.compared.members if plain else (), plain, strict=True):
         after[i] = prediction
-    estimated = {} if fitted is None else estimates_of(fitted.problem, fitted.fit, fitted.bounds.sigma)
+    estimated, flights, warnings = dict[str, ParameterEstimate](), dict[str, Any](), list[str]()
+    if fitted is not None:
+        estimated, flights = estimates_of(fitted.problem, fitted.fit, fitted.bounds.sigma), _flights(fitted)
+        noted = remarks(fitted)
+        warnings = [*(r.in_words for r in noted), *further_warnings(fitted.warnings, noted)]
     shares = posteriors({" + ".join(h.names): h.score for h in search.hypotheses if h.admissible} | {NONE: 0.0})
     none = _candidate_score(NONE, 0.0, search.none.by_record, shares)
     not_effects = _common_not_effects(best, estimated) if search.explained else []
-    noted = [] if fitted is None else remarks(fitted)
     return JointClosure(
         closures=closures,
         search=search,
@@ -476,8 +479,8 @@ def joint_closure_of(
         ],
         parameters=estimated,
         after=after,
-        warnings=() if fitted is None else [*(r.in_words for r in noted), *further_warnings(fitted.warnings, noted)],
-        flights={} if fitted is None else _flights(fitted),
+        warnings=warnings,
+        flights=flights,
     )
 
 

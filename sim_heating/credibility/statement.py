@@ -303,7 +303,7 @@ def _some(names: Sequence[str], most: int = 4) -> str:
 def _verification_findings(facts: Facts, evidence: Evidence) -> dict[str, Answer]:
     topics = evidence.topics
     verified = {name for name, topic in topics.items() if topic.verified}
-    core = [t for t in CORE if t in verified]
+    core = sorted(verified & {*CORE}, key=CORE.index)
     rows = sum(topics[t].rows for t in facts.topics & topics.keys())
     uncovered = sorted(facts.topics - verified)
     error = facts.mesh_error_K

@@ -35,6 +35,7 @@ from sim_heating.credibility.statement import Answer, Statement, assess
 from sim_heating.estimation.errors_in_fit import with_stated_errors
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import ProcessNoise
+from sim_heating.estimation.inference import observability
 from sim_heating.estimation.inference.bounds import ChannelResiduals as Residuals
 from sim_heating.estimation.inference.bounds import CramerRaoBounds, cramer_rao_bounds
 from sim_heating.estimation.inference.conditions_noise import conditions_noise, heating_noise
@@ -43,20 +44,6 @@ from sim_heating.estimation.inference.identifiability import correlation
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.inference.model_error import StatedError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status, check_parameters, maximise
-from sim_heating.estimation.inference.observability import (
-    MAGNITUDES,
-    constant_variables,
-    default_names,
-    default_thermal_names,
-    deviations,
-    lacks_surface,
-    least_determined,
-    mean_ratio,
-    parameters_without_heating,
-    uninformed,
-    unsupported_derivatives,
-    without_stuck_sensors,
-)
 from sim_heating.estimation.inference.outliers import Outlier, outlier_lines, without_outliers
 from sim_heating.estimation.inference.profile import Profile, profile
 from sim_heating.estimation.problem import FitProblem, joint_reference
@@ -387,27 +374,18 @@ def estimate(
     >>> fit.parameters["ratio.scale"].sigma < 0.01, fit.success
     (True, True)
     """
-    if profiles and process_noise is not None:
-        raise InputError(WITHOUT_NOISE.format(profiles[0]))
-    if error_of is not None and process_noise is not None:
-        raise InputError("the error of the model and process noise: both are of the heating; leave one of the two out")
+    if process_noise is not None:
+        _refuse_beside_noise(profiles, error_of)
     listed = [records] if isinstance(records, (Record, str, os.PathLike)) else records
     loaded, outliers, notes = _cleaned(load_records(listed), progress)
     options = FitOptions(effects, fixed=fixed, priors=priors, bounds=bounds, ties=ties, starts=starts)
     first = {} if settings is None else settings.first_values
     problem, omitted = _informed_problem(loaded, parameters, joint_reference(loaded, reference), options, first)
-    stated = [] if error_of is None else [error_of(r.record) for r in problem.record_fits]
-    if process_noise is not None and any(not isinstance(r.by_pressure_K, float) for r in problem.record_fits):
-        raise InputError(f"`{PRESSURE_FACTOR.name}`: no filter with process noise changes it; leave one of the two out")
-    start, innovations = first_values(problem, first), None
-    if any(s.heating is not None for s in stated):
-        problem, fit = _fit_with_errors(problem, start, stated, settings)
+    innovations = None
+    if process_noise is not None:
+        fit, innovations = _fit_with_noise(problem, process_noise, first, settings, progress)
     else:
-        fit = _fit(problem, start, settings, progress)
-        if process_noise is None:
-            problem, fit = _with_noisy_conditions(problem, fit, settings)
-        elif fit.status is not Status.NO_START:
-            fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
+        problem, fit = _fit_without_noise(problem, error_of, first, settings, progress)
     wanted_profiles = problem.owners.labels(profiles)
     check_profiles(wanted_profiles, [u.label for u in problem.unknowns], innovations)
     fit_result = replace(_fit_result(problem, fit, omitted, notes, innovations), outliers=tuple(outliers))
@@ -415,6 +393,13 @@ def estimate(
     if not profiles:
         return fit_result
     return replace(fit_result, profiles={name: fit_result.profile(name) for name in wanted_profiles})
+
+
+def _refuse_beside_noise(profiles: Sequence[str], error_of: Callable[[Record], StatedError] | None) -> None:
+    if profiles:
+        raise InputError(WITHOUT_NOISE.format(profiles[0]))
+    if error_of is not None:
+        raise InputError("the error of the model and process noise: both are of the heating; leave one of the two out")
 
 
 def _cleaned(records: Sequence[Record], progress: Progress) -> tuple[list[Record], list[Outlier], list[str]]:
@@ -428,7 +413,7 @@ def _cleaned(records: Sequence[Record], progress: Progress) -> tuple[list[Record
     averaged: list[str] = []
     cleaned, fewer = [], []
     for record in records:
-        used, lines = without_stuck_sensors(record)
+        used, lines = observability.without_stuck_sensors(record)
         stuck += lines
         used, of_record = without_outliers(used)
         outliers += of_record
@@ -511,7 +496,7 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
 
     For records from which no magnitude of the heating can be estimated, such as one under a lamp.
     """
-    checked, notes = without_stuck_sensors(load_record(record))
+    checked, notes = observability.without_stuck_sensors(load_record(record))
     checked, outliers = without_outliers(checked)
     notes += outlier_lines(outliers, {checked.name: checked})
     checked, averaged = averaged_record(checked)
@@ -540,9 +525,9 @@ def _reasons_to_omit(label: str, covered: Sequence[Record], *, is_tied: bool, is
     covered : records that it is of
     """
     # of tied ones the value is that of where the variable changes
-    reasons = {} if is_tied else constant_variables([label], covered)
-    reasons |= parameters_without_heating([label], covered)
-    return reasons if is_chosen else unsupported_derivatives([label], covered) | reasons
+    reasons = {} if is_tied else observability.constant_variables([label], covered)
+    reasons |= observability.parameters_without_heating([label], covered)
+    return reasons if is_chosen else observability.unsupported_derivatives([label], covered) | reasons
 
 
 def _labels_to_estimate(
@@ -575,10 +560,14 @@ def _default_labels(names: Sequence[str] | None, owners: Owners) -> list[str]:
     """Labels of the parameters that are estimated by default: of the heating, or of the wall where there is none."""
     if names is not None and DEFAULT not in names:
         return []
-    of_heating = default_names(owners.records)
-    if not parameters_without_heating(of_heating, owners.records):
-        return [label for label in owners.labels(of_heating) if not lacks_surface(label, owners.covered(label))]
-    return owners.labels(default_thermal_names(owners.records))
+    of_heating = observability.default_names(owners.records)
+    if not observability.parameters_without_heating(of_heating, owners.records):
+        return [
+            label
+            for label in owners.labels(of_heating)
+            if not observability.lacks_surface(label, owners.covered(label))
+        ]
+    return owners.labels(observability.default_thermal_names(owners.records))
 
 
 def _without(options: FitOptions, labels: set[str], owners: Owners) -> FitOptions:
@@ -675,16 +664,16 @@ def _least_determined(problem: FitProblem, values: FloatArray) -> dict[str, str]
     """The least determined parameter of a problem at a vector, and why it should be omitted; empty for none."""
     labels = [u.label for u in problem.unknowns]
     d0 = {i: abs(v) for u, v in zip(problem.unknowns, values, strict=True) for i in u.records if is_d0(u.parameter)}
-    declared = [mean_ratio(record_fit.record) for record_fit in problem.record_fits]
+    declared = [observability.mean_ratio(record_fit.record) for record_fit in problem.record_fits]
     ratio, excursion = np.full(len(labels), np.nan), np.zeros((len(labels), len(RATIO_VARIABLES)))
     flown: dict[tuple[int, ...], FloatArray] = {}
     for k, u in enumerate(problem.unknowns):
         ratios = [r for r in (d0.get(i, declared[i]) for i in u.records) if np.isfinite(r)]
         ratio[k] = np.mean(ratios) if ratios else np.nan
         if u.records not in flown:
-            flown[u.records] = deviations([problem.record_fits[i].record for i in u.records])
+            flown[u.records] = observability.deviations([problem.record_fits[i].record for i in u.records])
         excursion[k] = flown[u.records]
-    return least_determined(labels, _information(problem, values), ratio, excursion)
+    return observability.least_determined(labels, _information(problem, values), ratio, excursion)
 
 
 def _uninformed(problem: FitProblem, values: FloatArray, optional: Collection[str]) -> dict[str, str]:
@@ -694,12 +683,12 @@ def _uninformed(problem: FitProblem, values: FloatArray, optional: Collection[st
     if not any(labels):
         return {}
     sigma = np.array([p.sigma for p in problem.parameters])
-    return uninformed(labels, _information(problem, values), sigma)
+    return observability.uninformed(labels, _information(problem, values), sigma)
 
 
 def is_d0(parameter: Parameter) -> bool:
     """Whether a parameter is the heating ratio itself [-], where there is no table."""
-    return parameter.name == MAGNITUDES[1]
+    return parameter.name == observability.MAGNITUDES[1]
 
 
 def _part_done(steps: int) -> float:
@@ -769,6 +758,35 @@ def _fit_with_errors(
         fit = maximise(noisy.evaluate, noisy.parameters, fit.values, noisy.log_likelihoods, settings)
         fit = replace(fit, iterations=steps + fit.iterations)
     return noisy, fit
+
+
+def _fit_without_noise(
+    problem: FitProblem,
+    error_of: Callable[[Record], StatedError] | None,
+    first: Mapping[str, float],
+    settings: NewtonSettings | None,
+    progress: Progress,
+) -> tuple[FitProblem, Fit]:
+    """The fit with the errors of the models where these are stated, else with the noise of the conditions alone."""
+    stated = [] if error_of is None else [error_of(r.record) for r in problem.record_fits]
+    start = first_values(problem, first)
+    if any(s.heating is not None for s in stated):
+        return _fit_with_errors(problem, start, stated, settings)
+    return _with_noisy_conditions(problem, _fit(problem, start, settings, progress), settings)
+
+
+def _fit_with_noise(
+    problem: FitProblem,
+    noise: ProcessNoise,
+    first: Mapping[str, float],
+    settings: NewtonSettings | None,
+    progress: Progress,
+) -> tuple[Fit, Innovations | None]:
+    """The fit without process noise, and from its values that with it; the first alone where it has no start."""
+    if any(not isinstance(r.by_pressure_K, float) for r in problem.record_fits):
+        raise InputError(f"`{PRESSURE_FACTOR.name}`: no filter with process noise changes it; leave one of the two out")
+    fit = _fit(problem, first_values(problem, first), settings, progress)
+    return (fit, None) if fit.status is Status.NO_START else _fit_filtered(problem, noise, fit, progress)
 
 
 def _fit_filtered(problem: FitProblem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:

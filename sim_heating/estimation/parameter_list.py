@@ -33,20 +33,9 @@ from sim_heating.base.parameters import (
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.fit import first_values
+from sim_heating.estimation.inference import observability
 from sim_heating.estimation.inference.identifiability import covariance
 from sim_heating.estimation.inference.noise import noise_of_readings
-from sim_heating.estimation.inference.observability import (
-    MAGNITUDES,
-    constant_variables,
-    default_names,
-    deviations,
-    is_of_absent_surface,
-    mean_ratio,
-    parameters_without_heating,
-    unsupported_derivatives,
-    variables_of,
-    without_stuck_sensors,
-)
 from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.estimation.unknowns import FitOptions, without_action
@@ -188,12 +177,14 @@ def parameter_list(
     >>> found["ratio.d_alpha"].identified, found["ratio.d_beta"].identified
     ('yes', 'no')
     """
-    loaded, _ = without_stuck_sensors(load_record(record))
+    loaded, _ = observability.without_stuck_sensors(load_record(record))
     uses = tuple(use(name) for name in effects)
     model = point_of_record(loaded, effects=uses)
     listed = _listed(model, loaded.used_sensors)
     idle = without_action([p.name for p in listed], loaded, model)
-    listed = [p for p in listed if p.name not in idle and not is_of_absent_surface(p.name, loaded.surfaces)]
+    listed = [
+        p for p in listed if p.name not in idle and not observability.is_of_absent_surface(p.name, loaded.surfaces)
+    ]
     progress(0.0, "sensitivities of the readings")
     return ParameterList(loaded.declared.control_point, _judged(listed, loaded, uses, reference), loaded.name)
 
@@ -214,7 +205,9 @@ def scenario_parameters(scenario: Scenario, *, effects: Sequence[str] = ()) -> l
         model = point_of_vehicle(scenario.vehicle, point, effects=(*scenario.effects(name), *uses))
         listed = _listed(model, point.sensors)
         surfaces = scenario.vehicle.surfaces
-        lists.append(ParameterList(name, tuple(p for p in listed if not is_of_absent_surface(p.name, surfaces))))
+        lists.append(
+            ParameterList(name, tuple(p for p in listed if not observability.is_of_absent_surface(p.name, surfaces)))
+        )
     return lists
 
 
@@ -234,7 +227,7 @@ def _listed(model: PointModel, sensors: Sequence[Sensor]) -> list[ListedParamete
 
 def _of_heating_and_wall(model: PointModel) -> Iterator[ListedParameter]:
     """Parameters of the ratio and the stack, each once, with its other names."""
-    absent = MAGNITUDES[1] if model.ratio is not None else MAGNITUDES[0]
+    absent = observability.MAGNITUDES[1] if model.ratio is not None else observability.MAGNITUDES[0]
     names: dict[int, list[str]] = {}
     for name, entry in model.places.items():
         if entry >= 0:
@@ -326,7 +319,8 @@ def _set_noise(problem: FitProblem, values: Mapping[str, float]) -> None:
     record_fit.sigma_K |= {number: sigma for number, sigma in noise_K.items() if sigma is not None}
     if None not in noise_K.values():
         return
-    magnitude = [n for n in values if n == MAGNITUDES[1]]  # without a table the declared model has no heating
+    # without a table the declared model has no heating
+    magnitude = list(values.keys() & {observability.MAGNITUDES[1]})
     declared = FitProblem([record], magnitude, problem.reference, problem.options)
     declared.update_noise(np.array([values[n] for n in magnitude]))
     misfit = declared.record_fits[0].sigma_K
@@ -342,15 +336,17 @@ def _with_bounds(
     values      : (parameter,) at which it was computed
     """
     names = [p.name for p in listed]
-    impossible = constant_variables(names, [record]) | parameters_without_heating(names, [record])
-    doubtful = unsupported_derivatives(names, [record])
+    impossible = observability.constant_variables(names, [record]) | observability.parameters_without_heating(
+        names, [record]
+    )
+    doubtful = observability.unsupported_derivatives(names, [record])
     limits = _wanted_bounds(listed, record, values)
     # rounding of a march gives parameters without any effect a trace of information
     informed = np.diag(information) * limits**2 > LEAST_INFORMATION  # never where the sigma of a prior is 0
     alone = 1.0 / np.sqrt(np.where(informed, np.diag(information), 1.0))
     rho = information * np.outer(alone, alone)
     usable = [k for k, n in enumerate(names) if informed[k] and n not in impossible]
-    fitted = [k for k in usable if names[k] in default_names([record]) and names[k] not in doubtful]
+    fitted = [k for k in usable if names[k] in observability.default_names([record]) and names[k] not in doubtful]
     with_all = _marginal_sigmas(information, [p.prior_sigma for p in listed], usable, fitted)
 
     def bounded(k: int, p: ListedParameter) -> ListedParameter:
@@ -404,17 +400,17 @@ def _wanted_bounds(listed: Sequence[ListedParameter], record: Record, values: Fl
     Half the sigma of its prior; for a flat one the heating ratio, for a derivative over the excursion flown
     (docs/theory/estimation_statistics.md, equation 20).
     """
-    d0 = [abs(v) for p, v in zip(listed, values, strict=True) if p.name == MAGNITUDES[1]]
-    ratio, excursion = d0[0] if d0 else mean_ratio(record), deviations([record])
+    d0 = [abs(v) for p, v in zip(listed, values, strict=True) if p.name == observability.MAGNITUDES[1]]
+    ratio, excursion = d0[0] if d0 else observability.mean_ratio(record), observability.deviations([record])
     limits = []
     for p in listed:
-        variables = list(variables_of(p.name))
+        variables = list(observability.variables_of(p.name))
         if math.isfinite(p.prior_sigma):
             limits.append(BOUND_OVER_PRIOR * p.prior_sigma)
         elif variables:
             limits.append(ratio / max(float(np.prod(excursion[variables])), LEAST_EXCURSION))
-        elif p.name in MAGNITUDES:
-            limits.append(1.0 if p.name == MAGNITUDES[0] else ratio)
+        elif p.name in observability.MAGNITUDES:
+            limits.append(1.0 if p.name == observability.MAGNITUDES[0] else ratio)
         else:  # of a user-defined effect
             limits.append(BOUND_OVER_PRIOR * max(abs(p.nominal), min(p.upper - p.lower, 1.0)))
     return np.array(limits)

@@ -80,23 +80,17 @@ def averaged_record(record: Record) -> tuple[Record, list[str]]:
 
 
 def _averaged_readings(record: Record) -> tuple[Record, str]:
-    rows, n = len(record.time_s), math.ceil(len(record.time_s) / AIM)
-    labels = record.fit_mask().astype(np.int8) + 2 * record.holdout_mask().astype(np.int8)
+    rows = len(record.time_s)
     noise = {s.column: _noise_K(record.thermocouples[s.column], s.noise_sigma_K) for s in record.sensors}
     coarse = [s for s in record.sensors if s.lsb_K > 0.0 and noise[s.column] < DITHER * s.lsb_K]
     not_averaged = f"{record.name}: {rows} readings, none averaged: {{}}; this takes long"
     if coarse:
         return record, not_averaged.format(f"{coarse[0].name} has less noise than a count")
-    while n > 1:
-        groups = _groups(labels, n)
-        means = {s.column: groups.mean(record.thermocouples[s.column]) for s in record.sensors}
-        bent = {s.column: _bent(means[s.column], noise[s.column] / math.sqrt(n)) for s in record.sensors}
-        if all(np.mean(b) <= MOST_BENT for b in bent.values()):
-            break
-        n //= 2
-    else:
+    averages = _longest_averages(record, noise)
+    if averages is None:
         return record, not_averaged.format("the temperature moves between neighbours")
-    left_out = int(sum(np.count_nonzero(b) for b in bent.values()))
+    n, groups, means, bent = averages
+    left_out = int(sum(map(np.count_nonzero, bent.values())))
     readings: Mapping[str, FloatArray] = {
         "time_s": groups.mean(record.time_s),
         **{column: np.where(bent[column], np.nan, values) for column, values in means.items()},
@@ -108,6 +102,22 @@ def _averaged_readings(record: Record) -> tuple[Record, str]:
         f"{record.name}: {rows} readings averaged by {n} neighbours to {len(groups.first)}, with the noise of the mean"
     )
     return other, line + remark
+
+
+def _longest_averages(
+    record: Record, noise: Mapping[str, float]
+) -> tuple[int, _Groups, dict[str, FloatArray], dict[str, BoolArray]] | None:
+    """Means of as many neighbours as bend little, at most those of AIM means; None where pairs bend."""
+    labels = record.fit_mask().astype(np.int8) + 2 * record.holdout_mask().astype(np.int8)
+    n = math.ceil(len(record.time_s) / AIM)
+    while n > 1:
+        groups = _groups(labels, n)
+        means = {s.column: groups.mean(record.thermocouples[s.column]) for s in record.sensors}
+        bent = {column: _bent(mean, noise[column] / math.sqrt(n)) for column, mean in means.items()}
+        if all(np.mean(b) <= MOST_BENT for b in bent.values()):
+            return n, groups, means, bent
+        n //= 2
+    return None
 
 
 def _of_mean(sensor: Sensor, n: int) -> Sensor:

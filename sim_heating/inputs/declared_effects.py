@@ -32,7 +32,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Declared, LocatedError, Location, suggestion
+from sim_heating.base.files import Declared, LocatedError, Location, raise_located, suggestion
 from sim_heating.heating.edge_flow import Atoms
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.recombination import RECOMBINATION
@@ -103,8 +103,7 @@ class Transition(Declared):
             for key in ("log10_re_onset_sigma", "re_theta_over_m_e_sigma")
             if getattr(self, key) is not None and key.removesuffix(SIGMA) not in onsets
         ]
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return self
 
     @property

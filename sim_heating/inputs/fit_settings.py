@@ -22,7 +22,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from sim_heating.base.files import Declared, LocatedError, Location
+from sim_heating.base.files import Declared, Location, raise_located
 from sim_heating.inputs.record import ReferenceCondition, Segments
 
 FLAT = "flat"
@@ -68,8 +68,7 @@ class ParameterSettings(Declared):
             for name, value in values.items()
             if value != FLAT and len(value) != 2
         ]
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return values
 
     @property

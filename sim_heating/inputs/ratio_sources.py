@@ -42,22 +42,13 @@ from sim_heating.base.files import (
 from sim_heating.base.kernels.axis import cells_of
 from sim_heating.base.limits import QUANTITIES
 from sim_heating.heating.atmosphere import us76_kernel
+from sim_heating.heating.ratio import tunnel_to_flight
 from sim_heating.heating.ratio.table import (
     RatioTable,
     log_re_remark,
     range_problems,
     ratio_table_text,
     read_ratio_table,
-)
-from sim_heating.heating.ratio.tunnel_to_flight import (
-    REFERENCE,
-    FlowState,
-    Scaling,
-    deflection_factor,
-    scale_table,
-    surface_angle_deg,
-    theoretical_ratio,
-    windward_trend,
 )
 from sim_heating.heating.reference.recovery import RecoveryName
 from sim_heating.inputs.declared_effects import turbulent_recovery
@@ -241,10 +232,10 @@ class RatioSource(Declared):
     ] = Field(description="a file, a curve or a theory")
     factor: list[Annotated[CurveFactor | DeflectionFactor, Field(discriminator="kind")]] = Field(default=[])
     sigma: list[SigmaCurve] = Field(default=[])
-    scaling: Scaling | None = None
+    scaling: tunnel_to_flight.Scaling | None = None
 
     @property
-    def scaling_to_flight(self) -> Scaling:
+    def scaling_to_flight(self) -> tunnel_to_flight.Scaling:
         """The scaling, its flight state reduced with the recovery enthalpy of the source."""
         assert self.scaling is not None
         flight = self.scaling.flight.model_copy(update={"recovery": self.recovery})
@@ -267,6 +258,15 @@ class RatioSource(Declared):
         return self
 
 
+def _require_reference(path: Path, source: RatioSource, reference: str) -> None:
+    """Refuse a source whose ratios are over another reference heating than the vehicle's."""
+    key = "[base]" if isinstance(source.base, TheoryBase) else "" if source.scaling is None else "[scaling]"
+    if key and reference != tunnel_to_flight.REFERENCE:
+        raise InputError(
+            f"{display_path(path)}, {key}: takes ratios over `{tunnel_to_flight.REFERENCE}`, not {reference}"
+        )
+
+
 def build_tables(
     vehicle: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None
 ) -> dict[str, RatioTable]:
@@ -287,13 +287,7 @@ def build_tables(
     points = sorted(p.stem for p in (directory / "control_points").glob("*.toml"))
     for path in sources:
         source = read_toml(path, RatioSource)
-        table_key = (
-            "[base]" if isinstance(source.base, TheoryBase) else "[scaling]" if source.scaling is not None else None
-        )
-        if table_key is not None and file.heating.reference != REFERENCE:
-            raise InputError(
-                f"{display_path(path)}, {table_key}: takes ratios over `{REFERENCE}`, not {file.heating.reference}"
-            )
+        _require_reference(path, source, file.heating.reference)
         for name in source.control_points:
             table = name + (TURBULENT if source.flow == "turbulent" else "")
             if table in tables:
@@ -358,7 +352,7 @@ def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: Ve
         raise InputError(f"the ratio of {point.name} rises to {too_high}; check base and factors")
     table = RatioTable(axes, ratio, relative * ratio, header)
     if source.scaling is not None:
-        table = scale_table(table, source.scaling_to_flight)
+        table = tunnel_to_flight.scale_table(table, source.scaling_to_flight)
     expected = recovery_of(point, vehicle.heating).kind
     if source.flow == "turbulent":
         expected = turbulent_recovery(expected)
@@ -405,7 +399,7 @@ def _from_theory(
     states = []
     for flown in base.flight:
         T, _, rho = us76_kernel(flown.altitude_m)
-        state = FlowState(
+        state = tunnel_to_flight.FlowState(
             velocity_m_s=flown.velocity_m_s,
             T_inf_K=T,
             wall_K=base.wall_K,
@@ -423,8 +417,8 @@ def _from_theory(
     turbulent = base.theory == "eckert-turbulent"
     ratio = np.empty_like(alpha_deg)
     for alpha in np.unique(alpha_deg):
-        angle = surface_angle_deg(float(alpha) + local_angle_deg)
-        values = [theoretical_ratio(state, re, angle, x_over_L, turbulent) for re, state in states]
+        angle = tunnel_to_flight.surface_angle_deg(float(alpha) + local_angle_deg)
+        values = [tunnel_to_flight.theoretical_ratio(state, re, angle, x_over_L, turbulent) for re, state in states]
         here = alpha_deg == alpha
         ratio[here] = np.interp(log10_re[here], [re for re, _ in states], values)
     return ratio
@@ -444,11 +438,11 @@ def _from_file(base: FileBase, path: Path, alpha_deg: FloatArray, log10_re: Floa
     j = np.minimum(i + 1, len(re) - 1)
     w = np.where(j > i, np.clip((log10_re - re[i]) / np.where(j > i, re[j] - re[i], 1.0), 0.0, 1.0), 0.0)
     low, high = (np.take_along_axis(at_alpha, k[None], 0)[0] for k in (i, j))
-    trend = windward_trend(np.minimum(alpha_deg, a[0])) / windward_trend(a[:1])
+    trend = tunnel_to_flight.windward_trend(np.minimum(alpha_deg, a[0])) / tunnel_to_flight.windward_trend(a[:1])
     return ((1.0 - w) * low + w * high) * trend
 
 
 def _factor(factor: CurveFactor | DeflectionFactor, grid: dict[str, FloatArray]) -> FloatArray:
     if isinstance(factor, CurveFactor):
         return factor.at(grid[factor.variable])
-    return deflection_factor(grid["alpha_deg"], grid[factor.variable], factor.pressure_exponent)
+    return tunnel_to_flight.deflection_factor(grid["alpha_deg"], grid[factor.variable], factor.pressure_exponent)

@@ -36,6 +36,7 @@ from sim_heating.base.files import (
     display_path,
     output_directory,
     path_below,
+    raise_located,
     raise_problems,
     read_csv_columns,
     read_toml,
@@ -58,19 +59,13 @@ from sim_heating.heating.ratio.table import (
     ratio_table_text,
     read_ratio_table,
 )
+from sim_heating.heating.recorded import plausible
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import lacks_only_derived, states_columns
-from sim_heating.heating.recorded.plausible import (
-    STILL_M_S,
-    implausible_values,
-    implied_radius_m,
-    standing_out,
-    unusual_values,
-    with_density,
-)
 from sim_heating.heating.recorded.reading import local_pressure, lowered_confidence, read_flight
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
+from sim_heating.heating.surface_pressure import PressureModel
 from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition, turbulent_problems
 from sim_heating.inputs.pressure_transducer import Normal, PressureTransducer, pressure_factor, transducer_problems
 from sim_heating.thermal.stack import Construction, PressureTable, Sensor, construct, sensor_problems, sensor_remarks
@@ -250,7 +245,7 @@ class ConditionsFile(FileReference):
 
     def unusual(self) -> list[tuple[Location, str]]:
         """As of all declarations; an enthalpy without a flow states a lamp, and is looked at with the other columns."""
-        flows = self.velocity_m_s is not None and self.velocity_m_s >= STILL_M_S
+        flows = self.velocity_m_s is not None and self.velocity_m_s >= plausible.STILL_M_S
         return [remark for remark in super().unusual() if flows or remark[0] != ("H_r_J_kg",)]
 
 
@@ -417,8 +412,7 @@ class Heating(Declared):
 
     @model_validator(mode="after")
     def _check_edge(self) -> Heating:
-        if problems := edge_problems(self.recovery, self.local_angle_deg):
-            raise LocatedError(*problems)
+        raise_located(edge_problems(self.recovery, self.local_angle_deg))
         if self.local_angle_deg is None and (self.elevon_factor or self.bodyflap_factor):
             key = "elevon_factor" if self.elevon_factor else "bodyflap_factor"
             raise LocatedError(((key,), "turns the surface of an edge; give `recovery` and `local_angle_deg` as well"))
@@ -429,8 +423,7 @@ class Heating(Declared):
         for names, key in ((STAGNATION, "nose_radius_m"), (FLAT_PLATE, "running_length_m")):
             if self.reference in names and getattr(self, key) is None:
                 raise LocatedError((("reference",), f'"{self.reference}" needs `{key}`; add it'))
-        if problems := sweep_problems(self.reference, self.sweep_deg, self.recovery):
-            raise LocatedError(*problems)
+        raise_located(sweep_problems(self.reference, self.sweep_deg, self.recovery))
         return self
 
 
@@ -482,8 +475,7 @@ class Segments(Declared):
             for i, s in enumerate(segments or [])
             if len(s) != 2 or s[0] > s[1]
         ]
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return segments
 
 
@@ -544,8 +536,7 @@ class RecordFile(Construction):
         files = (self.conditions.file, self.thermocouples.file, heating.ratio_table, heating.turbulent_file)
         if len({f for f in files if f}) < sum(f is not None for f in files):
             problems.append((("conditions", "file"), "two parts of the record name the same file; give each its own"))
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return self
 
 
@@ -867,6 +858,12 @@ def _condition_columns(
     return required, (*(c for c in (*STATE, *HEATING) if c not in required), *OPTIONAL_COLUMNS)
 
 
+def pressure_of_reference(reference: str | None, local_angle_deg: float | None) -> PressureModel | None:
+    """Model of the surface pressure of a point with a reference heating; None where its angle [deg] is not stated."""
+    has_angle = local_angle_deg is not None or reference in STAGNATION
+    return local_pressure(local_angle_deg) if has_angle else None
+
+
 def _conditions_of_file(
     path: Path, required: Sequence[str], optional: Sequence[str], declared: RecordFile
 ) -> tuple[CsvTable, RecordFile]:
@@ -875,16 +872,13 @@ def _conditions_of_file(
     A density of the standard atmosphere lowers the confidence of the conditions.
     raises : InputError as `read_csv_columns`, or one line with everything that the file lacks
     """
-    density = () if required == ("time_s",) else (("rho_kg_m3", "q_Pa"),)
-    constants = declared.conditions.constants
-    stated = tuple(group for group in density if not set(group) & set(constants))
+    density, constants = ("rho_kg_m3", "q_Pa"), declared.conditions.constants
+    stated = () if required == ("time_s",) or constants.keys() & {*density} else (density,)
     if states_columns(path, required, stated) or not lacks_only_derived(path, required):
         return read_csv_columns(path, required, optional), declared
     heating, needed = declared.heating, tuple(dict.fromkeys((*required, *(("rho_kg_m3",) if stated else ()))))
     fields = {name: ConditionField(constant=value) for name, value in constants.items()}
-    pressure = None
-    if heating.reference in STAGNATION or heating.local_angle_deg is not None:
-        pressure = local_pressure(heating.local_angle_deg)
+    pressure = pressure_of_reference(heating.reference, heating.local_angle_deg)
     flown = read_flight(path, needed, fields=fields, pressure=pressure)
     warnings.warn(f"{display_path(path)}: {'; '.join(flown.notes)}", stacklevel=4)
     table = replace(flown.table, columns={n: v for n, v in flown.table.columns.items() if n not in constants})
@@ -1021,7 +1015,7 @@ def _remarks(
     conditions: CsvTable, thermocouples: CsvTable, declared: RecordFile, table: RatioTable | None, home: Path
 ) -> list[str]:
     """What is possible and unusual about the samples of a record, and about them and its declaration together."""
-    remarks = unusual_values(conditions)
+    remarks = plausible.unusual_values(conditions)
     declaration = display_path(home / DECLARATION)
     t = thermocouples["time_s"]
     for sensor in declared.thermocouples.sensor:
@@ -1035,7 +1029,7 @@ def _remarks(
         lines = thermocouples.problems_where_not(sensor.column, odd, rule)
         if not lines:
             alone = np.zeros(len(T), dtype=bool)
-            alone[rows] = standing_out(t[rows], T[rows], READING_K)
+            alone[rows] = plausible.standing_out(t[rows], T[rows], READING_K)
             rule = "stands out of the readings before and after it; check it, or leave the cell of a lost sample empty"
             lines = thermocouples.problems_where_not(sensor.column, ~alone, rule)
         remarks += lines
@@ -1044,7 +1038,7 @@ def _remarks(
     remarks += _clock_remarks(conditions, thermocouples)
     radius = declared.heating.nose_radius_m
     if declared.heating.reference == "columns" and radius is not None and "h_ref_kg_m2_s" in conditions.columns:
-        ratio = implied_radius_m(conditions)
+        ratio = plausible.implied_radius_m(conditions)
         if ratio is not None and not RADIUS_RATIOS[0] <= ratio / radius <= RADIUS_RATIOS[1]:
             text = f"h_ref_kg_m2_s is that of a sphere of {ratio:.3g} m radius, and nose_radius_m = {radius:g}"
             remarks.append(f"{declaration}, [heating]: {display_path(conditions.path)}, column {text}; check both")
@@ -1139,7 +1133,7 @@ def _clock_remarks(conditions: CsvTable, thermocouples: CsvTable) -> list[str]:
 
 def _condition_problems(table: CsvTable, declared: RecordFile) -> list[str]:
     """Time that does not increase, impossible values, values in another unit or at odds with what is declared."""
-    problems = table.order_problems() + implausible_values(table)
+    problems = table.order_problems() + plausible.implausible_values(table)
     return problems or [
         *_recovery_problems(table, declared.heating),
         *_back_problems(table, declared),
@@ -1175,7 +1169,7 @@ def _whole_conditions(table: CsvTable, declared: RecordFile) -> CsvTable:
     table = table.with_columns({name: np.full(rows, value) for name, value in constants.items()})
     if declared.heating.reference == "none":
         table = table.with_columns(_at_rest(table, declared))
-    return with_density(table)
+    return plausible.with_density(table)
 
 
 def _at_rest(table: CsvTable, declared: RecordFile) -> dict[str, FloatArray]:

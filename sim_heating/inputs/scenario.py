@@ -35,6 +35,7 @@ from sim_heating.base.files import (
     Location,
     check,
     display_path,
+    raise_located,
     raise_problems,
     read_csv_columns,
     read_toml,
@@ -82,8 +83,7 @@ class HeatingOptions(Declared):
                 problems.append(((i, 1), f"{row[1]:g} is not a temperature in K (1 to {HOTTEST_K:g})"))
             elif i > 0 and len(schedule[i - 1]) == 2 and row[0] <= schedule[i - 1][0]:  # type: ignore[index]
                 problems.append(((i, 0), f"{row[0]:g} does not come after {schedule[i - 1][0]:g}"))  # type: ignore[index]
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return schedule
 
     @model_validator(mode="after")

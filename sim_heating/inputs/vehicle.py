@@ -299,7 +299,7 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
     if os.path.isfile(path / "vehicle.toml"):  # Path.is_file raises where a name is too long for the system
         return path
     text = os.fspath(vehicle)
-    if os.sep in text or "/" in text:
+    if not {os.sep, "/"}.isdisjoint(text):
         reason = "the directory has no vehicle.toml" if os.path.isdir(path) else "there is no such directory"
         raise InputError(f"{text}: not a vehicle; {reason}")
     for folder in vehicle_folders():
@@ -487,6 +487,16 @@ def _upstream(
     return problems.attempt(construct, stack, materials, f"{display_path(path)}, [interface]")
 
 
+def _wall_met_again(points: Mapping[str, ControlPoint], name: str, upstream: str) -> str:
+    """The first wall that interfaces from a point upstream lead to twice; empty where they end."""
+    passed = [name]
+    while upstream in points and upstream not in passed:
+        passed.append(upstream)
+        above = points[upstream].declared.interface
+        upstream = "" if above is None else above.upstream
+    return upstream if upstream in passed else ""
+
+
 def _interface_problems(directory: Path, points: Mapping[str, ControlPoint]) -> list[str]:
     """Interfaces whose wall upstream is no control point, or in the end the point itself; transition that is not
     there."""
@@ -495,13 +505,8 @@ def _interface_problems(directory: Path, points: Mapping[str, ControlPoint]) -> 
         if (interface := point.declared.interface) is None or point.upstream is not None:
             continue
         where = f"{display_path(directory / 'control_points' / name)}.toml, [interface]"
-        upstream, passed = interface.upstream, [name]
-        while upstream in points and upstream not in passed:
-            passed.append(upstream)
-            above = points[upstream].declared.interface
-            upstream = "" if above is None else above.upstream
-        if upstream in passed:
-            problems.append(f"{where}: `upstream`: `{interface.upstream}` leads back to {upstream}; name another wall")
+        if again := _wall_met_again(points, name, interface.upstream):
+            problems.append(f"{where}: `upstream`: `{interface.upstream}` leads back to {again}; name another wall")
         elif interface.upstream not in points:
             hint = suggestion(interface.upstream, points)
             problems.append(f"{where}: `upstream`: there is no control point `{interface.upstream}`{hint}")

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from sim_heating.base.files import Declared, LocatedError, Location, path_below
+from sim_heating.base.files import Declared, LocatedError, Location, path_below, raise_located
 from sim_heating.base.files.roots import portable_name
 from sim_heating.heating.reference.recovery import RecoveryName
 from sim_heating.heating.surface_pressure import PressureModel
@@ -45,8 +45,7 @@ class ReferenceHeating(Declared):
     def _check(self) -> ReferenceHeating:
         if self.nose_radius_m is None and self.reference in STAGNATION:
             raise LocatedError((("reference",), f'"{self.reference}" needs `nose_radius_m`; add it'))
-        if problems := sweep_problems(self.reference, self.sweep_deg):
-            raise LocatedError(*problems)
+        raise_located(sweep_problems(self.reference, self.sweep_deg))
         return self
 
 
@@ -200,6 +199,5 @@ class ControlPointFile(Declared):
         problems += edge_problems(self.recovery, self.local_angle_deg)
         if self.limits.bondline_K is not None and len(self.stack.layer) == 1:
             problems.append((("limits", "bondline_K"), "a stack of one layer has no bondline; remove it"))
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return self

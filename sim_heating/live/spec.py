@@ -40,6 +40,7 @@ from sim_heating.base.files import (
     Location,
     check,
     display_path,
+    raise_located,
     raise_problems,
     read_toml,
     repeated_name,
@@ -249,8 +250,7 @@ class EstimateSettings(Declared):
             for name, value in values.items()
             if len(value) != 2 or not value[1] > 0.0
         ]
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return values
 
     @field_validator("parameters")

@@ -22,16 +22,8 @@ from sim_heating.base.kernels.block import CONDITION_COLUMNS, LANES, N_CONDITION
 from sim_heating.base.kernels.jit import address_of
 from sim_heating.base.parallel.threads import in_threads
 from sim_heating.heating.effects.compiled import unusable_value
+from sim_heating.march import frames
 from sim_heating.march.counters import Counters
-from sim_heating.march.frames import (
-    BLOCK_END,
-    BLOCK_START,
-    Flights,
-    LaneGroups,
-    advance_groups,
-    begin_groups,
-    march_group,
-)
 from sim_heating.march.lanes import LaneMemory
 from sim_heating.march.packing import PointWriter
 from sim_heating.march.point import MOISTURE_RUNAWAY, PointModel, heating_vector, initial_temperatures, stack_values
@@ -108,9 +100,9 @@ class Ensemble:
         return LaneGroup(numbers, integers, self.table, self.dispatcher, self.advance_address)
 
     @cached_property
-    def lane_groups(self) -> LaneGroups:
+    def lane_groups(self) -> frames.LaneGroups:
         """All lane groups as compiled time loops take them."""
-        return LaneGroups(self.state, self.ints, self.table, self.dispatcher, self.advance_address, self.groups)
+        return frames.LaneGroups(self.state, self.ints, self.table, self.dispatcher, self.advance_address, self.groups)
 
     def set_model(self, model: int, changed: PointModel) -> None:
         """Give a point new parameter values.
@@ -223,7 +215,7 @@ class Ensemble:
         docs/theory/equations_march.md, section 1.
         """
         vectors = now[self.lanes]
-        begin_groups(*self.lane_groups, vectors)
+        frames.begin_groups(*self.lane_groups, vectors)
 
     def advance(self, then: FloatArray, dt: float) -> None:
         """Advance all points by one frame, conditions linear in time over it, each in as many steps as its error needs.
@@ -238,7 +230,7 @@ class Ensemble:
         if not 0.0 < dt < np.inf:
             raise InputError(f"advance: dt is {dt:g} s; it must be above 0")
         vectors = then[self.lanes]
-        advance_groups(*self.lane_groups, vectors, dt, 1)
+        frames.advance_groups(*self.lane_groups, vectors, dt, 1)
 
     def march(
         self,
@@ -275,7 +267,7 @@ class Ensemble:
 
         # Groups share nothing that changes: results do not depend on threads. The kernel releases the interpreter.
         def march_one(g: int) -> None:
-            start, end = self.groups[g, BLOCK_START], self.groups[g, BLOCK_END]
+            start, end = self.groups[g, frames.BLOCK_START], self.groups[g, frames.BLOCK_END]
             columns = np.flatnonzero((kept >= start) & (kept < end))
             rows = self.march_lanes(g, time_s, histories, flights[g], step, kept[columns])
             if len(rows):
@@ -312,8 +304,10 @@ class Ensemble:
         equations 1, 2.
         """
         out = np.empty((len(time_s) if len(kept) else 0, len(kept)))
-        flown = Flights(time_s, histories, flights)
-        march_group(self.lane_group(group), flown, longest_step_s, kept - self.groups[group, BLOCK_START], out)
+        flown = frames.Flights(time_s, histories, flights)
+        frames.march_group(
+            self.lane_group(group), flown, longest_step_s, kept - self.groups[group, frames.BLOCK_START], out
+        )
         return out
 
     def _check_march(

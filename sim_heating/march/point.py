@@ -33,16 +33,7 @@ from sim_heating.base.parameters import (
 from sim_heating.heating.effects import EffectUse, ModelParameter, check_count
 from sim_heating.heating.interface import Interface
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.thermal.elements import (
-    BOILS,
-    CONDENSES,
-    DEPOSITED,
-    LATENT_HEAT,
-    OWN_WIDTH,
-    STACK_WIDTH,
-    WIDTH,
-    Elements,
-)
+from sim_heating.thermal import elements
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import BackFace, Construction
 from sim_heating.thermal.tables import WallEnthalpy
@@ -51,14 +42,14 @@ MODES = ("add", "multiply", "emittance")
 """Effects with a kernel, in the order in which they act."""
 COATING_PREFIX, RSI_PREFIX = "stack.coating.", "stack.rsi."
 BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
-MOISTURE = (LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH)
+MOISTURE = (elements.LATENT_HEAT, elements.BOILS, elements.DEPOSITED, elements.CONDENSES, elements.WIDTH)
 MOISTURE_RUNAWAY = "moisture gives off more heat as it condenses than takes to warm what it condenses in"
 CONDENSATION_WIDTHS = 8.0
 """Widths about its condensation temperature outside of which moisture condenses to less than 1e-3."""
 VALUE_INDEX = {name: k for k, name in enumerate(MODEL)}
 """Index in PointModel.values of each parameter that every point has."""
 _PARAMETERS = tuple(MODEL.values())
-_NOMINAL = np.ones(len(RATIO) + STACK_WIDTH)
+_NOMINAL = np.ones(len(RATIO) + elements.STACK_WIDTH)
 _NOMINAL[: len(MODEL)] = [p.value for p in _PARAMETERS]
 LEAST_BEHIND = 1e-3
 """Least thickness left behind the deepest sensor in a layer, over the declared thickness [-]."""
@@ -154,7 +145,7 @@ class PointModel:
                 indices.setdefault(f"{STACK_PREFIX}{name}.{n.rpartition('.')[2]}", index)
             for k, p in enumerate(LAYER):
                 of_role = None if role is None else VALUE_INDEX.get(f"{role}{p.name}")
-                index = len(MODEL) + OWN_WIDTH * slot + k if of_role is None else of_role
+                index = len(MODEL) + elements.OWN_WIDTH * slot + k if of_role is None else of_role
                 if indices.setdefault(f"{STACK_PREFIX}{name}.{p.name}", index) != index:
                     indices[f"{STACK_PREFIX}{name}.{p.name}"] = AMBIGUOUS
         return indices
@@ -264,7 +255,7 @@ class PointModel:
             scatter = self._declared_scatter(stands_for) if set_here.sigma == usual.sigma else None
             return set_here if scatter is None else replace(set_here, sigma=scatter)
         index = self._existing_place(name)
-        p = _PARAMETERS[index] if index < len(MODEL) else LAYER[(index - len(MODEL)) % OWN_WIDTH]
+        p = _PARAMETERS[index] if index < len(MODEL) else LAYER[(index - len(MODEL)) % elements.OWN_WIDTH]
         sigma = self._declared_scatter(name) or p.sigma
         return replace(p, name=name, sigma=sigma, lower=max(p.lower, self._least_thickness(name)))
 
@@ -423,7 +414,7 @@ def _stretch(mesh: Mesh) -> FloatArray:
     return stretch
 
 
-def elements_of(construction: Construction, mesh: Mesh) -> Elements:
+def elements_of(construction: Construction, mesh: Mesh) -> elements.Elements:
     """Elements of a mesh as the lanes of a point take them, lengths [m] and densities [kg/m3] among them.
 
     A contact resistance has no mass: its density is 0. Heat capacity of an element: docs/theory/equations.md,
@@ -432,7 +423,7 @@ def elements_of(construction: Construction, mesh: Mesh) -> Elements:
     densities = np.array([*(m.density_kg_m3 for m in construction.layer_materials()), 0.0])[mesh.layer]
     named, names = _slot_names(construction), construction.stack.layer_names
     slots = np.array([*(named.index(n) if n in named else -1 for n in names), -1])[mesh.layer]
-    return Elements(
+    return elements.Elements(
         mesh.layer, mesh.length_m, densities, slots, _stretch(mesh), insulation_layer(construction), mesh.bondline
     )
 

@@ -130,7 +130,7 @@ def _problem(estimate: Estimate, records: Sequence[Record]) -> FitProblem:
     declared = {u.effect.name for r in records for u in r.declared.heating.effects}
     uses = [fitted_use(estimate, n) for n in dict.fromkeys(e.name for e in estimate.effects) if n not in declared]
     options = FitOptions(
-        effects=[u for u in uses if u is not None],
+        effects=list(filter(None, uses)),
         fixed={n: f.value for n, f in estimate.fixed.items()},
         priors={n: p.prior for n, p in estimate.parameters.items()},
         ties=list(ties.values()),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -68,11 +68,16 @@ def _plain(name: str) -> str:
 
 def _alike(plain_name: str, library: Iterable[str]) -> list[str]:
     """Materials of this name, else those whose names begin with it, else the alloys of this number, as AISI 304."""
+    if not plain_name:
+        return []
     plain = {name: _plain(name) for name in library}
-    beginning = [name for name, text in plain.items() if plain_name and text.startswith(plain_name)]
-    exact = [name for name in beginning if plain[name] == plain_name]
-    is_number = re.fullmatch(r"\d{3,}", plain_name) is not None
-    return exact or beginning or [name for name, text in plain.items() if is_number and text.endswith(plain_name)]
+    tests: list[Callable[[str, str], bool]] = [
+        str.__eq__,
+        str.startswith,
+        *([str.endswith] if re.fullmatch(r"\d{3,}", plain_name) else []),
+    ]
+    alike = ([name for name, text in plain.items() if test(text, plain_name)] for test in tests)
+    return next(filter(None, alike), [])
 
 
 def find_material(name: str) -> tuple[str, Material]:

@@ -28,6 +28,7 @@ from sim_heating.base.files.text import and_more_rows, listed
 from sim_heating.base.files.units import converted, known_unit, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
+from sim_heating.heating.recorded.cells import text as cell_text
 from sim_heating.heating.recorded.cells.block import Block
 from sim_heating.heating.recorded.cells.clocks import (
     ANY_ORDER,
@@ -48,15 +49,6 @@ from sim_heating.heating.recorded.cells.numbers import (
     numbers_of,
     require_one_unit,
     shown_cell,
-)
-from sim_heating.heating.recorded.cells.text import (
-    EAST_ASIAN_TEMPERATURE,
-    EAST_ASIAN_TIME,
-    decoded,
-    is_clock,
-    is_number,
-    rows_block,
-    text_block,
 )
 from sim_heating.templates.loggers.files import kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import (
@@ -84,7 +76,7 @@ HEADS = (
     (
         TIME,
         r"(?i)(^|[^a-z])((?:unix)?time(?:s|seconds)?|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum|utc|gmt|tow|epoch)([^a-z]|$)"
-        rf"|{EAST_ASIAN_TIME}|(?-i:^t$)|^x_value$",
+        rf"|{cell_text.EAST_ASIAN_TIME}|(?-i:^t$)|^x_value$",
     ),
     (
         TIME,
@@ -94,7 +86,7 @@ HEADS = (
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
     (
         TEMPERATURE,
-        rf"(?i)temp|{EAST_ASIAN_TEMPERATURE}|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$",
+        rf"(?i)temp|{cell_text.EAST_ASIAN_TEMPERATURE}|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$",
     ),
     (TEMPERATURE, r"^T([^a-z]{1,2}|[A-Z]{1,2}[\d_].*|[^A-Za-z].*)?$|_K$"),
 )
@@ -425,15 +417,15 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
     """The rows of data of a file of any kind."""
     kind = kind_of_file(path)
     if not kind:
-        text = decoded(path)
-        return lvm_block(path, text, chosen) if is_lvm(text) else text_block(path, text, chosen.separator)
+        text = cell_text.decoded(path)
+        return lvm_block(path, text, chosen) if is_lvm(text) else cell_text.text_block(path, text, chosen.separator)
     table = read_table(path, kind, chosen)
     if isinstance(table, Block):
         return table
     rows = [(i, cells) for i, cells in enumerate(table, 1) if any(cells)]
     if not rows:
         raise InputError(f"{display_path(path)}: the sheet has no cells")
-    return replace(rows_block(path, rows, "", recorder="Excel"), decimal=".")
+    return replace(cell_text.rows_block(path, rows, "", recorder="Excel"), decimal=".")
 
 
 def _with_unit_column(block: Block) -> Block:
@@ -524,9 +516,9 @@ def _columns_of_a_long_table(block: Block) -> tuple[list[int], int, int] | None:
 
 def _cells_hold(cells: Sequence[str]) -> str:
     """What cells hold: `clock`, `number`, `text`, or nothing."""
-    if any(map(is_clock, cells)):
+    if any(map(cell_text.is_clock, cells)):
         return "clock"
-    return "number" if any(map(is_number, cells)) else "text" if any(cells) else ""
+    return "number" if any(map(cell_text.is_number, cells)) else "text" if any(cells) else ""
 
 
 def _may_name_sensors(block: Block, k: int) -> bool:
@@ -550,7 +542,7 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
         times = {n for n in names if re.search(HEADS[0][1], n)} | {chosen.time}
         as_clock = [with_colons(c, layout) if n in times else c for n, c in zip(names, block.cells, strict=True)]
         block = replace(block, cells=tuple(as_clock))
-    clocks = {k for k in range(len(names)) if _mostly(block.column(k), is_clock)}
+    clocks = {k for k in range(len(names)) if _mostly(block.column(k), cell_text.is_clock)}
     signs = number_signs(block, sorted({*range(len(names))} - clocks), chosen.decimal)
     heads = []
     for k, (name, unit) in enumerate(zip(names, stated, strict=True)):
@@ -612,7 +604,7 @@ def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chos
 
 
 def _is_partner(name: str) -> bool:
-    return re.search(rf"(?i)date|datum|time|zeit|{EAST_ASIAN_TIME}", name) is not None
+    return re.search(rf"(?i)date|datum|time|zeit|{cell_text.EAST_ASIAN_TIME}", name) is not None
 
 
 def _is_all_digits(cell: str) -> bool:
@@ -862,17 +854,16 @@ def _as_chosen(
     path: Path, columns: list[CsvColumn], chosen: LoggerLayout, temperatures: tuple[str, ...], flux: str | None
 ) -> list[CsvColumn]:
     """Columns of the kinds that options state; where temperatures are named, others are not used."""
-    choices = [(TIME, chosen.place("time"), chosen.time)]
+    choices = [] if chosen.time is None else [(TIME, chosen.place("time"), chosen.time)]
     choices += [(TEMPERATURE, f"--temperature {t}", t) for t in temperatures]
-    exclusive = {kind for kind, _, name in choices if name is not None}
+    exclusive = {kind for kind, *_ in choices}
     used = [replace(c, kind=UNUSED, reason="not named") if c.kind in exclusive else c for c in columns]
     lamp = None if flux is None else _index_of(columns, flux)
     if lamp is not None and columns[lamp].kind != FLUX:
         used[lamp] = _as_kind(columns[lamp], FLUX, f"--lamp {flux}")
     for kind, place, name in choices:
-        if name is not None:
-            k = _named(path, columns, name, place)
-            used[k] = _as_kind(columns[k], kind, place)
+        k = _named(path, columns, name, place)
+        used[k] = _as_kind(columns[k], kind, place)
     return used
 
 
@@ -1005,15 +996,10 @@ def _number_time(
     assert scale is not None
     finite = np.flatnonzero(np.isfinite(values))
     first = float(values[finite[0]])
-    unix = time_unit != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
-    of_labview = time_unit == "s" and LABVIEW_S[0] <= first <= LABVIEW_S[1]
-    of_calendar = time_unit == "day" and first >= DAY_NUMBERS[0]  # those of Julian and of MATLAB are larger
-    if of_calendar or unix or of_labview:
+    is_stamp, zero = _instant_of_stamp(first, time_unit, scale(first))
+    if is_stamp:
         # whole digits first: seconds since 1970 leave few behind the point
         t = np.round((values - first) * scale.factor, 6)
-        of_spreadsheet = of_calendar and first <= DAY_NUMBERS[1]
-        zero = (first - 25569.0) * 86400.0 if of_spreadsheet else None
-        zero = scale(first) if unix else first - FROM_1904_S if of_labview else zero
         column = replace(column, values=t, unit="s", reason=f"{reason}, counted from the first", guess=guess)
         return column, zero, []
     low, high, rule = LIMITS["time_s"]
@@ -1050,6 +1036,16 @@ def _unit_of_time(
     if stated and not re.fullmatch(REMARK, stated.strip()):
         raise InputError(f"{location}: `{stated}` is not a unit of time that is known; state it, --time-unit s")
     return _unit_of_stamps(block, head, column)
+
+
+def _instant_of_stamp(value: float, unit: str, value_s: float) -> tuple[bool, float | None]:
+    """Whether a time counts from an epoch, by its size, and its instant since 1970 [s]; None where not known."""
+    if unit == "day":
+        # days of Julian and of MATLAB are larger than those of a spreadsheet
+        return value >= DAY_NUMBERS[0], (value - 25569.0) * 86400.0 if value <= DAY_NUMBERS[1] else None
+    if UNIX_S[0] <= value_s <= UNIX_S[1]:
+        return True, value_s
+    return unit == "s" and LABVIEW_S[0] <= value <= LABVIEW_S[1], value - FROM_1904_S
 
 
 def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, str, str]:
@@ -1209,17 +1205,20 @@ def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayou
         )
     if (column.declared and column.declared.unit) or getattr(chosen, UNIT_KEYS[column.kind]):
         return _with_stated_unit(block.path, column, chosen)
-    stated = head.unit
-    if stated and not column.unit and not re.fullmatch(REMARK, stated.strip()):
-        is_voltage = is_emf(stated) and column.kind == TEMPERATURE
-        state = f"{THERMOCOUPLE_EXAMPLE} for an emf" if is_voltage else UNIT_OPTIONS[column.kind]
-        has_factor = re.search(r"^[\d.]+ ?\D|[x*\u00d7] ?10", stated)
-        remedy = f"write the numbers times their factor, and {state}" if has_factor else f"state it, {state}"
+    if head.unit and not column.unit and not re.fullmatch(REMARK, head.unit.strip()):
         raise InputError(
-            f"{display_path(block.path)}, column {column.name}: `{stated}` is not a unit of {column.kind} that is "
-            f"known; {remedy}, or name the columns that are read, --temperature COLUMN"
+            f"{display_path(block.path)}, column {column.name}: `{head.unit}` is not a unit of {column.kind} that is "
+            f"known; {_remedy(head.unit, column.kind)}, or name the columns that are read, --temperature COLUMN"
         )
     return column
+
+
+def _remedy(unit: str, kind: str) -> str:
+    """What to do about an unknown unit of a column."""
+    is_voltage = is_emf(unit) and kind == TEMPERATURE
+    state = f"{THERMOCOUPLE_EXAMPLE} for an emf" if is_voltage else UNIT_OPTIONS[kind]
+    has_factor = re.search(r"^[\d.]+ ?\D|[x*\u00d7] ?10", unit)
+    return f"write the numbers times their factor, and {state}" if has_factor else f"state it, {state}"
 
 
 def _without_counters(columns: list[CsvColumn]) -> list[CsvColumn]:

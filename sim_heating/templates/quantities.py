@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
 from pathlib import Path
 
 from sim_heating.base.conditions import DESCRIPTIONS
@@ -46,16 +45,13 @@ def quantity(text: str, unit: str, option: str, example: str, key: str = "") -> 
     return si
 
 
-def stated_field(column: str, text: str, names: Collection[str] = ()) -> ConditionField:
+def stated_field(column: str, text: str) -> ConditionField:
     """What an option `--field COLUMN=TEXT` states: a field, `NAME:UNIT`, or a constant with its unit, `0deg`.
 
-    names  : of the fields of the file; a text that is one of them is that field
     raises : InputError, one line, for a column that is none and a constant of another quantity
     """
     if column not in DESCRIPTIONS:
         raise InputError(f"--field {column}: unknown column of flight conditions{suggestion(column, DESCRIPTIONS)}")
-    if text in names:
-        return ConditionField(field=text)
     name, colon, unit = text.rpartition(":")
     if colon and name and known_unit(unit) is not None:
         return ConditionField(field=name, unit=unit)

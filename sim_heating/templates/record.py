@@ -34,17 +34,17 @@ from sim_heating.base.files import (
 from sim_heating.base.files.text import and_more_rows
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
-from sim_heating.heating.recorded.reading import OPTION, local_pressure, lowered_confidence, read_flight
+from sim_heating.heating.recorded.reading import OPTION, lowered_confidence, read_flight
 from sim_heating.heating.recorded.sounding import read_sounding
 from sim_heating.inputs.record import (
     BY_CONFIDENCE,
     DECLARATION,
     REFERENCE_COLUMNS,
-    STAGNATION,
     FlightUncertainty,
     Record,
     load_record,
     make_record,
+    pressure_of_reference,
     write_record,
 )
 from sim_heating.templates.materials import LayerInput, describe_source
@@ -386,7 +386,6 @@ def flown_heat(
     required = ["time_s", "altitude_m", "velocity_m_s", "alpha_deg", "mach", "log10_re", "rho_kg_m3", "T_inf_K"]
     required += ["p_inf_Pa", *(() if has_pressure else ("p_surface_Pa",))]
     required += REFERENCE_COLUMNS if reference is None else ()
-    has_angle = local_angle_deg is not None or reference in STAGNATION
     flown = read_flight(
         path,
         required,
@@ -394,7 +393,7 @@ def flown_heat(
         fields={column: stated_field(column, text) for column, text in (fields or {}).items()},
         length_m=reference_length_m,
         sounding=None if atmosphere is None else read_sounding(atmosphere),
-        pressure=local_pressure(local_angle_deg) if has_angle else None,
+        pressure=pressure_of_reference(reference, local_angle_deg),
     )
     for line in flown.assumed:
         warnings.warn(f"{display_path(path)}: {line}", stacklevel=2)
@@ -493,7 +492,7 @@ def write_new_record(
         hold_s=[float(f"{x:.4g}") for x in hold],
     )
     readings = {"time_s": times} | {_sensor(s, article).column: s.si for s in sensors}
-    inputs = [measured.path, *([] if article.ratio_table is None else [article.ratio_table])]
+    inputs = list(filter(None, (measured.path, article.ratio_table)))
     sources = {"thermocouples.csv": source_of_readings(measured), "conditions.csv": article.heat.source}
     with (
         output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
@@ -515,16 +514,16 @@ def _ratio_notes(article: RecordInput) -> list[str]:
 
     raises : InputError where there are two ratios, or one without a flight
     """
-    if article.ratio is not None and article.ratio_table is not None:
+    stated = {"--ratio": article.ratio, "--ratio-table": article.ratio_table}
+    options = [option for option, value in stated.items() if value is not None]
+    if len(options) == 2:
         raise InputError("--ratio: is a constant in place of --ratio-table; give one of the two")
-    if article.heat.reference == "none" or LAMP_ENTHALPY_J_KG in [value for _, value, _ in article.heat.constants]:
-        option = "--ratio" if article.ratio is not None else "--ratio-table"
-        if article.ratio is not None or article.ratio_table is not None:
-            raise InputError(f"{option}: is over the reference heating of a flight; give --conditions, or leave it out")
+    is_flight = not (article.heat.reference == "none" or article.heat.is_of_unknown_lamp)
+    if options and not is_flight:
+        raise InputError(f"{options[0]}: is over the reference heating of a flight; give --conditions, or leave it out")
+    if options or not is_flight:
         return []
-    if article.ratio is None and article.ratio_table is None:
-        return ["no heating ratio: `estimate` finds ratio.d0, `predict` needs one (--ratio, --ratio-table, --like)"]
-    return []
+    return ["no heating ratio: `estimate` finds ratio.d0, `predict` needs one (--ratio, --ratio-table, --like)"]
 
 
 OPTIONS = {

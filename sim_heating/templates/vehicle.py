@@ -95,13 +95,7 @@ def point_inputs(points: Sequence[str], x_over_L: Mapping[str, str], ratios: Map
     """
     inputs: list[PointInput] = []
     for text in points:
-        name, equals, layers = (piece.strip() for piece in text.partition("="))
-        if not (equals and layers and re.fullmatch(NAME, name)):
-            example = '--point NOSE="LI-900 50 mm / al2024 2 mm"'
-            raise InputError(f"--point {text}: write {example}; a name has letters, digits and _")
-        if (problem := portable_problem(name)) is not None:
-            raise InputError(f"--point {text}: {name} {problem}")
-        stack = tuple(layer_input(layer, f"--point {name}") for layer in layers.split(" / "))
+        name, stack = _name_and_stack(text)
         position = 0.0 if not inputs and name not in x_over_L else _number(x_over_L, name, "--place", 0.0, 1.0)
         ratio = None if name not in ratios else _number(ratios, name, "--ratio", 0.0, 300.0)
         inputs.append(PointInput(name, stack, position, ratio))
@@ -109,9 +103,21 @@ def point_inputs(points: Sequence[str], x_over_L: Mapping[str, str], ratios: Map
     if (twice := repeated_name(names)) is not None:
         raise InputError(f"--point {twice}: is given twice; leave one out")
     for option, values in (("--place", x_over_L), ("--ratio", ratios)):
-        if unknown := [name for name in values if name not in names]:
-            raise InputError(f"{option} {unknown[0]}: there is no --point {unknown[0]}; known: {', '.join(names)}")
+        for name in values:
+            if name not in names:
+                raise InputError(f"{option} {name}: there is no --point {name}; known: {', '.join(names)}")
     return inputs
+
+
+def _name_and_stack(text: str) -> tuple[str, tuple[LayerInput, ...]]:
+    """Name and layers of an option `--point NAME=LAYER / LAYER`."""
+    name, equals, layers = map(str.strip, text.partition("="))
+    if not (equals and layers and re.fullmatch(NAME, name)):
+        example = '--point NOSE="LI-900 50 mm / al2024 2 mm"'
+        raise InputError(f"--point {text}: write {example}; a name has letters, digits and _")
+    if (problem := portable_problem(name)) is not None:
+        raise InputError(f"--point {text}: {name} {problem}")
+    return name, tuple(layer_input(layer, f"--point {name}") for layer in layers.split(" / "))
 
 
 def _number(values: Mapping[str, str], name: str, option: str, low: float, high: float) -> float:
@@ -195,18 +201,19 @@ def write_new_vehicle(out: str | os.PathLike[str], design: VehicleInput) -> tupl
     return load_vehicle(out), notes
 
 
-def _values(name: str, design: VehicleInput) -> dict[str, Any]:
-    """Variables of the templates."""
-    for option, value in (("length", design.length_m), ("mass", design.mass_kg), ("area", design.area_m2)):
+def _require_positive(**values: float) -> None:
+    for option, value in values.items():
         if not value > 0.0:
             raise InputError(f"--{option}: must be above 0")
+
+
+def _values(name: str, design: VehicleInput) -> dict[str, Any]:
+    """Variables of the templates."""
+    _require_positive(length=design.length_m, mass=design.mass_kg, area=design.area_m2)
     guidance_of = GLIDER if design.lift_to_drag >= GLIDES_FROM else CAPSULE
-    keys_set_here = ("format", "source", "confidence", "alpha_deg", "alpha_limits_deg", "alpha_against", "approach")
-    guidance = {
-        k: v
-        for k, v in read_toml_dict(vehicle_directory(guidance_of) / "guidance.toml").items()
-        if k not in keys_set_here
-    }
+    guidance = read_toml_dict(vehicle_directory(guidance_of) / "guidance.toml")
+    for key in ("format", "source", "confidence", "alpha_deg", "alpha_limits_deg", "alpha_against", "approach"):
+        guidance.pop(key, None)
     span_m = float(f"{min(design.length_m, 2.0 * math.sqrt(design.area_m2 / math.pi)):.4g}")
     deflections = list(DEFLECTIONS_DEG) if design.surfaces else [0.0]
     alphas = _alphas_deg(design.alpha_deg)

@@ -155,7 +155,7 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
     measure = _node_measure(s, s[-1], step_s)
     # A gas layer stays one element: its faces are the two nodes between which it radiates.
     weights = np.where([seg.layer in construction.gas_layers for seg in segments], 0.0, np.diff(measure))
-    counts = _element_counts(weights, nodes - 1 - sum(r > 0.0 for r in contacts))
+    counts = _element_counts(weights, nodes - 1 - int(np.count_nonzero(np.greater(contacts, 0.0))))
     # A coating of one element would have no node between its faces.
     if counts[0] < 2:
         counts[np.argmax(counts)] -= 1

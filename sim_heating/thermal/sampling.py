@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.files import Declared, LocatedError, Location
+from sim_heating.base.files import Declared, LocatedError, Location, raise_located
 
 FASTEST_HZ = 1000.0
 """Highest sample rate [Hz]."""
@@ -69,8 +69,7 @@ def _check_rows(rate: Rate) -> Rate:
             problems.append(((i, 1), f"{row[1]:g} is not a sample rate in Hz (above 0, up to {FASTEST_HZ:g})"))
         elif i > 0 and len(rows[i - 1]) == 2 and row[0] <= rows[i - 1][0]:
             problems.append(((i, 0), f"{row[0]:g} does not come after {rows[i - 1][0]:g}; let the times increase"))
-    if problems:
-        raise LocatedError(*problems)
+    raise_located(problems)
     return rate
 
 

@@ -20,7 +20,16 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import tell
-from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule, check, suggestion
+from sim_heating.base.files import (
+    COLDEST_K,
+    Declared,
+    LocatedError,
+    Location,
+    celsius_rule,
+    check,
+    raise_located,
+    suggestion,
+)
 from sim_heating.base.files.toml import remarks_of
 from sim_heating.base.limits import HOTTEST_K, QUANTITIES, usual_remark
 from sim_heating.thermal.sampling import RATE_TEXT, SampleRate, require_span, word_step
@@ -104,8 +113,7 @@ def _hot_problems(table: Table) -> list[tuple[Location, str]]:
 
 
 def _raise_located(problems: Sequence[tuple[Location, str]]) -> None:
-    if problems:
-        raise LocatedError(*problems)
+    raise_located(problems)
 
 
 def _axis_problems(key: str, values: list[float]) -> list[tuple[Location, str]]:

@@ -230,7 +230,7 @@ def _frames_off_the_line(first: FloatArray, between: list[FloatArray], last: Flo
         if k > i:
             kept.append(k)
             open_ends += [(i, k), (k, j)]
-    return [rows[k] for k in sorted(kept)]
+    return list(rows[sorted(kept)])
 
 
 def _interpolate_row(before: FloatArray, after: FloatArray, time_s: float) -> FloatArray:

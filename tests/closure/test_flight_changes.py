@@ -11,6 +11,7 @@ import pytest
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.clues.flight_consistency import flight_discrepancies
+from sim_heating.closure.prior import changed_flight
 from sim_heating.closure.search.changes import flight_changes as flight
 from sim_heating.closure.search.changes.record_change import best_starts, fit_changes
 from sim_heating.closure.search.trials.change import RecordChange
@@ -35,7 +36,7 @@ def declared() -> TrialFit:
 @cache
 def in_thin_air() -> tuple[TrialFit, list[TrialFit]]:
     """The declared model of a record whose density is 13 % too low, and the changes found."""
-    base = base_trial(estimate([flight.with_density(CLEAN, 1.0 / DENSER)]))
+    base = base_trial(estimate([changed_flight.with_density(CLEAN, 1.0 / DENSER)]))
     return base, fit_changes(base, flight.flight_changes(base.problem.record_fits[0].record))
 
 
@@ -66,14 +67,14 @@ def test_temperatures_of_a_flight_minutes_later_say_by_how_much():
 
 @pytest.mark.thorough
 def test_velocity_and_air_that_were_merged_with_angles_of_another_time():
-    best = found(flight.shift_trajectory(CLEAN, -20.0), ends=False)[0]
+    best = found(changed_flight.shift_trajectory(CLEAN, -20.0), ends=False)[0]
     assert best.change.what == "time of velocity, altitude and air against the angles"
     assert best.value == pytest.approx(20.0, abs=0.5)
 
 
 @pytest.mark.thorough
 def test_a_flight_that_was_later_than_its_conditions_state():
-    best = found(flight.shift_conditions(CLEAN, -12.0), ends=False)[0]
+    best = found(changed_flight.shift_conditions(CLEAN, -12.0), ends=False)[0]
     assert best.change.name == "time-skew"
     assert best.value == pytest.approx(12.0, abs=0.5)  # the clock of the thermocouples may be off by a quarter second
     assert best.change.describe(best.value).endswith(" s too early")
@@ -100,7 +101,7 @@ def test_a_layer_of_wrong_density_and_where():
 @pytest.mark.thorough
 def test_density_and_angle_of_attack_are_found_through_pressure_and_act_alike():
     # A factor on all heating is that of the table. What remains is the conductivity at another surface pressure.
-    for truth, fits in ((DENSER, in_thin_air()[1]), (2.0, found(flight.with_alpha(CLEAN, -2.0), ends=False))):
+    for truth, fits in ((DENSER, in_thin_air()[1]), (2.0, found(changed_flight.with_alpha(CLEAN, -2.0), ends=False))):
         best, second = fits[:2]
         both = {"density of the flight conditions", "angle of attack of the flight conditions"}
         assert {best.change.what, second.change.what} == both
@@ -183,8 +184,8 @@ def test_an_angle_of_attack_that_was_smoothed_is_sharpened_again():
     mean = 38.0 + 4.0 * 12.0 / np.hypot(12.0, 6.0) * np.exp(-0.5 * ((t - 700.0) / np.hypot(12.0, 6.0)) ** 2)
     stated = replace(CLEAN, conditions=CLEAN.conditions.with_columns(alpha_deg=mean))
     assert np.max(np.abs(mean - alpha)) > 0.4
-    assert flight.with_sharper_alpha(stated, 6.0).conditions["alpha_deg"] == pytest.approx(alpha, abs=0.02)
-    assert flight.with_sharper_alpha(stated, 0.0) is stated
+    assert changed_flight.with_sharper_alpha(stated, 6.0).conditions["alpha_deg"] == pytest.approx(alpha, abs=0.02)
+    assert changed_flight.with_sharper_alpha(stated, 0.0) is stated
 
 
 def test_a_change_that_was_not_flown_is_contradicted_by_the_motion():
@@ -216,7 +217,7 @@ def test_an_error_of_the_velocity_that_is_undone_is_found_between_its_two_contra
 
 
 def test_denser_air_heats_with_the_root_of_density():
-    before, after = (conditions_of_record(r) for r in (CLEAN, flight.with_density(CLEAN, 1.21)))
+    before, after = (conditions_of_record(r) for r in (CLEAN, changed_flight.with_density(CLEAN, 1.21)))
     np.testing.assert_allclose(after["h_ref_kg_m2_s"], 1.1 * before["h_ref_kg_m2_s"])
     np.testing.assert_allclose(after["log10_re"] - before["log10_re"], np.log10(1.21))
     np.testing.assert_allclose(after["p_surface_Pa"], 1.21 * before["p_surface_Pa"])
@@ -224,7 +225,7 @@ def test_denser_air_heats_with_the_root_of_density():
 
 
 def test_a_faster_flight_has_more_enthalpy():
-    before, after = (conditions_of_record(r) for r in (CLEAN, flight.with_velocity(CLEAN, 1.02)))
+    before, after = (conditions_of_record(r) for r in (CLEAN, changed_flight.with_velocity(CLEAN, 1.02)))
     gained = 0.5 * (after["velocity_m_s"] ** 2 - before["velocity_m_s"] ** 2)
     np.testing.assert_allclose(after["H_r_J_kg"] - before["H_r_J_kg"], gained, rtol=1e-6)
     np.testing.assert_allclose(after["h_ref_kg_m2_s"], 1.02 * before["h_ref_kg_m2_s"])
@@ -232,14 +233,14 @@ def test_a_faster_flight_has_more_enthalpy():
 
 
 def test_a_windward_surface_has_more_pressure_at_a_larger_angle_of_attack():
-    before, after = CLEAN.conditions, flight.with_alpha(CLEAN, 3.0).conditions
+    before, after = CLEAN.conditions, changed_flight.with_alpha(CLEAN, 3.0).conditions
     hot = slice(500, 900)
     newtonian = np.sin(np.radians(before["alpha_deg"] + 3.0)) ** 2 / np.sin(np.radians(before["alpha_deg"])) ** 2
     np.testing.assert_allclose((after["p_surface_Pa"] / before["p_surface_Pa"])[hot], newtonian[hot], rtol=0.03)
 
 
 def test_a_shifted_flight_keeps_its_times_and_its_last_row_beyond_its_end():
-    moved = flight.shift_conditions(CLEAN, -50.0).conditions
+    moved = changed_flight.shift_conditions(CLEAN, -50.0).conditions
     np.testing.assert_array_equal(moved.time_s, CLEAN.conditions.time_s)
     at = CLEAN.conditions.at(moved.time_s[:-60] + 50.0)
     np.testing.assert_allclose(moved["altitude_m"][:-60], at["altitude_m"])

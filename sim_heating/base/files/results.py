@@ -20,19 +20,10 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.errors import InputError, LeftOutWarning, RunError
+from sim_heating.base.files import transaction
 from sim_heating.base.files.paths import display_path, file_digest, has_digest, real_path, text_digest
 from sim_heating.base.files.provenance import results_from, with_provenance
 from sim_heating.base.files.text import abbreviated, as_builtin, read_text, write_text_atomic
-from sim_heating.base.files.transaction import (
-    NEW,
-    STAGING,
-    commit,
-    exclusive,
-    files_below,
-    replace_files,
-    require_plain,
-    staged,
-)
 
 LOG = logging.getLogger(__name__)
 MARKER = ".sim_heating.json"
@@ -215,21 +206,21 @@ def output_directory(
     raises   : InputError before the work where the place cannot be used, holds other results, or is, contains or lies
                in an input; and after it where a result would overwrite a file that this program did not write
     """
-    if STAGING in Path(path).parts:
+    if transaction.STAGING in Path(path).parts:
         with _part_of_results(Path(path), command) as folder:
             yield folder
         return
     inputs = tuple(inputs)
     _refuse_inputs(real_path(path), inputs)
-    with exclusive(path) as target, results_from(target, inputs, seed):
+    with transaction.exclusive(path) as target, results_from(target, inputs, seed):
         _results_to_replace(target, command, expected)
-        with staged(target) as folder:
+        with transaction.staged(target) as folder:
             yield folder
             _write_marker(folder, command)
-            old = _results_to_replace(target, command, files_below(folder))
+            old = _results_to_replace(target, command, transaction.files_below(folder))
             foreign = _others(target, command, old)
-            count = len(files_below(folder))
-            commit(target, old)
+            count = len(transaction.files_below(folder))
+            transaction.commit(target, old)
         LOG.info("%s: wrote %d files into %s", command, count, display_path(target))
         if foreign:
             _warn_of_replaced(target, foreign, command)
@@ -255,7 +246,7 @@ def require_writable(
     raises : InputError as `output_directory` does before the work
     """
     _refuse_inputs(real_path(path), inputs)
-    with exclusive(path) as target:
+    with transaction.exclusive(path) as target:
         _results_to_replace(target, command, expected)
 
 
@@ -264,14 +255,14 @@ def _part_of_results(folder: Path, command: str) -> Iterator[Path]:
     """A directory within one that is being written; it has a list of its own, so that it may be moved elsewhere."""
     folder.mkdir(parents=True, exist_ok=True)
     yield folder
-    if (folder.parent.name, folder.name) != (STAGING, NEW):
+    if (folder.parent.name, folder.name) != (transaction.STAGING, transaction.NEW):
         _write_marker(folder, command)
 
 
 def _write_marker(folder: Path, command: str) -> None:
     """List the files of a directory with their digests."""
     marker = folder / MARKER
-    digests = {name: file_digest(folder / name) for name in files_below(folder) if name != MARKER}
+    digests = {name: file_digest(folder / name) for name in transaction.files_below(folder) if name != MARKER}
     write_json(marker, {"format": MARKER_FORMAT, "command": command, "files": digests})
 
 
@@ -326,7 +317,7 @@ def write_own_files(directory: str | os.PathLike[str], command: str, texts: Mapp
 
     raises : InputError, nothing written, where another file has one of the names
     """
-    with exclusive(directory) as target:
+    with transaction.exclusive(directory) as target:
         listing = _read_marker(target)
         listed = {} if listing is None else listing[1]
         new = {name: text for name, text in texts.items() if not has_digest(target / name, text_digest(text))}
@@ -339,7 +330,7 @@ def write_own_files(directory: str | os.PathLike[str], command: str, texts: Mapp
         digests = {**listed, **{name: text_digest(text) for name, text in texts.items()}}
         marker = json_text({"format": MARKER_FORMAT, "command": command, "files": digests})
         if new or listing is None or digests != listed:
-            replace_files(target, {**new, MARKER: marker})
+            transaction.replace_files(target, {**new, MARKER: marker})
         if foreign:
             _warn_of_replaced(target, foreign, command)
 
@@ -360,7 +351,7 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
         )
     there = [name for name in sorted({*files, *names} - {MARKER}) if os.path.lexists(target / name)]
     for name in {*files, *names}:
-        require_plain(target, name)
+        transaction.require_plain(target, name)
     marker = [] if listing is None else [MARKER]
     if replaces_others() and not any((target / name).is_dir() for name in there):
         # a listed result that was changed, and is not written again, is a person's file

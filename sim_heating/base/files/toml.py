@@ -53,8 +53,7 @@ class Declared(BaseModel):
     @model_validator(mode="after")
     def _check_plausible(self, info: ValidationInfo) -> Self:
         problems = self.implausible() if info.context is _FROM_FILE else []
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return self
 
     def implausible(self) -> list[tuple[Location, str]]:
@@ -90,8 +89,7 @@ class Convertible(Declared):
             if name in cls.model_fields
             for below, wrong in _not_numbers(value, _leaves(cls.model_fields[name].annotation))
         ]
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return data
 
 
@@ -110,6 +108,12 @@ class LocatedError(ValueError):
     def __init__(self, *problems: tuple[Location, str]) -> None:
         self.problems = problems
         super().__init__("; ".join(text for _, text in problems))
+
+
+def raise_located(problems: Sequence[tuple[Location, str]]) -> None:
+    """Raise all problems below a validated value at once, if there are any."""
+    if problems:
+        raise LocatedError(*problems)
 
 
 def _quantity_problems(model: Declared, name: str, value: Any) -> list[tuple[Location, str]]:

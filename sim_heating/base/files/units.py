@@ -171,8 +171,8 @@ def known_unit(name: str) -> Scale | None:
         unit = registry.parse_units(_pint_syntax(plain))
         if not _is_written(registry, unit):
             return None
-        zero, unity = (registry.Quantity(v, unit).to_base_units() for v in (0.0, 1.0))
-        offset = float(zero.magnitude)
+        unity = registry.Quantity(1.0, unit).to_base_units()
+        offset = float(registry.Quantity(0.0, unit).to_base_units().magnitude)
         # over a long span, so that an offset takes no digits of the factor
         span = 1.0 if offset == 0.0 else 2.0**30
         factor = float(registry.Quantity(span, unit).to_base_units().magnitude - offset) / span

@@ -181,7 +181,7 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
         raise InputError("--period: must be above 0")
     lamp = options["lamp"]
     kept = None if options["layout_file"] is None else read_layout(options["layout_file"])
-    signs = {"tab": "\t", "blank": " "}
+    signs = {None: None, "tab": "\t", "blank": " "}
     measured = read_measured_csv(
         csv_file,
         time=options["time"],
@@ -192,7 +192,7 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
         thermocouple=options["thermocouple"],
         reference_junction=options["reference_junction"],
         period_s=options["period"],
-        separator=None if options["separator"] is None else signs.get(options["separator"], options["separator"]),
+        separator=signs.get(options["separator"], options["separator"]),
         decimal=options["decimal"],
         dates=options["dates"],
         lost=() if options["lost"] is None else lost_values(options["lost"]),
@@ -249,11 +249,9 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
         notes.append(f"layout of {csv_file.name} kept in {options['keep_layout']}: --layout reads the next files by it")
         write_layout(options["keep_layout"], measured.stated, csv_file.name, depths)
     print_notes(notes)
-    commands = (
-        f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}"
-        for c in (*(() if record.lacks_ratio else ("predict",)), "estimate", "close-loop")
-    )
-    print_made(describe_record(record), out, *commands, notes=notes)
+    commands = ["estimate", "close-loop"] if record.lacks_ratio else ["predict", "estimate", "close-loop"]
+    lines = (f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}" for c in commands)
+    print_made(describe_record(record), out, *lines, notes=notes)
 
 
 def _refuse_with_like() -> None:
@@ -322,18 +320,22 @@ def _heat(measured: MeasuredCsv, lamp: str | None, options: dict[str, Any]) -> A
             has_pressure=options["pressure"] is not None,
         )
     _refuse_without_flight(options)
-    fluxes = [c.name for c in measured.of_kind(FLUX)]
-    if lamp is None and len(fluxes) == 1:
-        lamp = fluxes[0]
-    if lamp is None and interactive():
-        lamp = click.prompt("Flux that heats the wall (20kW/m2, a column, or a CSV file)")
     if lamp is None:
-        candidates = f"the columns {', '.join(fluxes)} may be it" if fluxes else "no column is a heat flux"
-        raise InputError(
-            f"--lamp: is missing, and {candidates}; give a flux such as --lamp 20kW/m2, a column, or a CSV file with a "
-            "time and a flux"
-        )
+        lamp = _lamp_of([c.name for c in measured.of_kind(FLUX)])
     return lamp_heat(measured, lamp, options["lit"], options["absorptance"])
+
+
+def _lamp_of(fluxes: Sequence[str]) -> str:
+    """The only column of a heat flux; else asked for on a terminal, or an error that names the option."""
+    if len(fluxes) == 1:
+        return fluxes[0]
+    if interactive():
+        return str(click.prompt("Flux that heats the wall (20kW/m2, a column, or a CSV file)"))
+    candidates = f"the columns {', '.join(fluxes)} may be it" if fluxes else "no column is a heat flux"
+    raise InputError(
+        f"--lamp: is missing, and {candidates}; give a flux such as --lamp 20kW/m2, a column, or a CSV file with a "
+        "time and a flux"
+    )
 
 
 def _refuse_without_flight(options: dict[str, Any]) -> None:

@@ -70,20 +70,26 @@ def batch_page(
     faults = [line for row in rows for line in row.get("fault_messages", ())]
     text = "The name of a record leads to its own page. Click the head of a column to sort by it."
     sections = [Section("Records", [text], points=faults, tables=[closures_table(rows, pages)])]
-    done = [i for i, kept in enumerate(residuals) if kept is not None and kept["curves"]]
-    worst = sorted(done, key=lambda i: -_above_noise(rows[i]))[:most_charts]
-    if worst:
-        charts = [_chart(str(rows[i]["record"]), rows[i], residuals[i] or {}) for i in sorted(worst)]
-        which = (
-            "" if len(worst) == len(done) else f" of the {len(worst)} records of {len(done)} farthest above their noise"
-        )
-        text = (
-            f"Measured minus predicted{which}, by the least, the median and the greatest value in short "
-            f"intervals of time; the page of a record has more. {SHADES}"
-        )
-        sections.append(Section("Residuals side by side", [text], charts=charts))
+    sections += _residuals_side_by_side(rows, residuals, most_charts)
     count = f"{len(rows) - len(failed)} of {len(rows)} records are done." if failed else f"{len(rows)} records."
     return Page("Closed loops", count, sections, warnings=failed)
+
+
+def _residuals_side_by_side(
+    rows: Sequence[Mapping[str, Any]], residuals: Sequence[Mapping[str, Any] | None], most: int
+) -> list[Section]:
+    """The residuals of the records farthest above their noise; none where no record has curves."""
+    curves = {i: kept for i, kept in enumerate(residuals) if kept is not None and kept["curves"]}
+    worst = sorted(sorted(curves, key=lambda i: -_above_noise(rows[i]))[:most])
+    if not worst:
+        return []
+    charts = [_chart(str(rows[i]["record"]), rows[i], curves[i]) for i in worst]
+    which = f" of the {len(worst)} records of {len(curves)} farthest above their noise"
+    text = (
+        f"Measured minus predicted{which if len(worst) < len(curves) else ''}, by the least, the median and the "
+        f"greatest value in short intervals of time; the page of a record has more. {SHADES}"
+    )
+    return [Section("Residuals side by side", [text], charts=charts)]
 
 
 def _above_noise(row: Mapping[str, Any]) -> float:

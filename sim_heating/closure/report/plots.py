@@ -86,8 +86,7 @@ def heating_figure(declared: ResidualHeating, final: ResidualHeating | None, evi
         figure, axes = new_figure(9.5, 6.0, 2, sharex=True, height_ratios=[2.0, 1.0])
     else:
         figure, axes = new_figure(9.5, 4.0, 1)
-    shown = [declared] if final is None else [declared, final]
-    limits = np.array([_limits(residual) for residual in shown])
+    limits = np.array([_limits(residual) for residual in filter(None, (declared, final))])
     axes[0].set_ylim(limits[:, 0].min(), limits[:, 1].max())
     _band(axes[0], declared, BEFORE, "declared model fitted")
     if final is not None:

@@ -28,13 +28,7 @@ from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import write_residual_heating
 from sim_heating.closure.curves import NAME as CURVE_NAME
 from sim_heating.closure.curves import curve_words, write_curve
-from sim_heating.closure.report.plots import (
-    comparison_chart,
-    heating_chart,
-    hysteresis_figure,
-    ranking_figure,
-    variables_figure,
-)
+from sim_heating.closure.report import plots
 from sim_heating.closure.result import NAME, NONE, PAGE, PARTLY, UNKNOWN, Closure, ParameterEstimate, Statement, finite
 from sim_heating.closure.verdict.adequacy import p_value_text
 from sim_heating.closure.verdict.policy import POLICY
@@ -269,7 +263,7 @@ def _error_cells(errors: Mapping[str, float] | None) -> list[float | None]:
 
 
 def _comparison_section(closure: Closure) -> Section:
-    chart = comparison_chart(closure.predicted, closure.before, closure.after, closure.fitted_with)
+    chart = plots.comparison_chart(closure.predicted, closure.before, closure.after, closure.fitted_with)
     return Section("Measured against predicted", charts=[chart])
 
 
@@ -307,13 +301,14 @@ def _candidates_section(closure: Closure) -> Section:
     ranked = sorted(closure.candidates, key=lambda c: c.delta_bic)
     if not ranked:
         return Section("Candidates", ["No candidate was tried."])
+    names, delta_bics = zip(*((c.name, c.delta_bic) for c in ranked), strict=True)
     marched = any(math.isfinite(c.fit_rmse_K) for c in ranked)
     rows = [
         [c.name, c.delta_bic, *((c.fit_rmse_K, c.holdout_rmse_K) if marched else ()), _share_cell(c.posterior)]
         for c in ranked
     ]
     chosen = [e.name for e in closure.effects]
-    marked = [i for i, c in enumerate(ranked) if c.name in chosen]
+    marked = [i for i, name in enumerate(names) if name in chosen]
     caption = (
         "Share: of the likelihood of all that may be named, held-out segments, priors on magnitudes and the number of "
         "forms included. It compares single causes of this list and is no probability: something else may be the cause."
@@ -323,10 +318,10 @@ def _candidates_section(closure: Closure) -> Section:
         columns += [Column("RMSE fitted, K", "fit_rmse_K", ".2f"), Column("RMSE held out, K", "holdout_rmse_K", ".2f")]
     columns.append(Column("share", "posterior", ".2g"))
     table = Table(caption, columns, rows, strong=marked)
-    figure = partial(ranking_figure, [c.name for c in ranked], [c.delta_bic for c in ranked], chosen)
-    text = [closure.false_alarm] if closure.false_alarm else []
-    picture = Picture(figure, "Blue: added effects. The axis is linear within 10.")
-    return Section("Candidates", text, tables=[table], pictures=[picture])
+    picture = Picture(
+        partial(plots.ranking_figure, names, delta_bics, chosen), "Blue: added effects. The axis is linear within 10."
+    )
+    return Section("Candidates", list(filter(None, [closure.false_alarm])), tables=[table], pictures=[picture])
 
 
 def _barred_section(closure: Closure) -> list[Section]:
@@ -363,8 +358,8 @@ def _heating_section(closure: Closure) -> Section:
         )
     order = [f.shape.variable for f in closure.evidence.shape_fits]
     order += [n for n in variables if n not in order]
-    over_time = heating_chart(closure.residual, closure.residual_after, closure.evidence)
-    over_variables = partial(variables_figure, closure.residual, variables, order)
+    over_time = plots.heating_chart(closure.residual, closure.residual_after, closure.evidence)
+    over_variables = partial(plots.variables_figure, closure.residual, variables, order)
     caption = f"Missing {closure.residual.quantity} against what changed; bars: 1 sigma."
     return Section("Residual as heating", text, pictures=[Picture(over_variables, caption)], charts=[over_time])
 
@@ -404,7 +399,7 @@ def _evidence_section(closure: Closure) -> Section:
         ],
         [[f.shape.describe(), f.amplitude, abs(f.z), f.share] for f in e.shape_fits[:8]],
     )
-    figure = hysteresis_figure(closure.residual, flight_variables(closure.residual), e)
+    figure = plots.hysteresis_figure(closure.residual, flight_variables(closure.residual), e)
     caption = "Residual around the manoeuvres with the widest loops: an error of the thermal model, a clock or a lag."
     pictures = [] if figure is None else [Picture(figure, caption)]
     points = [*e.proposal(), *(f"Left out: {piece} ({reason})." for piece, reason in e.left_out.items())]

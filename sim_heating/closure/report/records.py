@@ -269,13 +269,12 @@ def _values_section(joint: JointClosure) -> Section:
     columns: list[Column | str] = ["parameter", Column("whose", is_text=True), Column("together", is_text=True)]
     columns += [Column(f"{e.record} alone", is_text=True) for e in joint.search.evidence]
     whose = {"all": "all records", "point": "each point", RECORD: "each record"}
-    one_point = len({e.point for e in joint.search.evidence}) == 1
+    if len({e.point for e in joint.search.evidence}) == 1:
+        whose["point"] = whose["all"]
     only = joint.names[best.members[0]] if len(best.members) == 1 else ""
     rows = []
     for name in best.model.cause.candidate.names:
-        level = best.model.levels[name]
-        owner = only or whose["all" if one_point and level != RECORD else level]
-        rows.append([name, owner, *_values_cells(joint, name)])
+        rows.append([name, only or whose[best.model.levels[name]], *_values_cells(joint, name)])
     exact = all(c.statement.model_error is None for c in joint.closures)
     bounds = "corrected for coloured residuals" if exact else "with the error of the models"
     text = (

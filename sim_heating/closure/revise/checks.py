@@ -68,8 +68,11 @@ def _check_correlation(estimate: Estimate, labels: list[str], name: str, *, min_
     min_eigenvalue : least eigenvalue [-] of the correlation of ratio parameters: below it a combination of them is
         known exactly
     """
-    of_one_point = [(a, b) for a, b in combinations(labels, 2) if a.partition(AT)[2] == b.partition(AT)[2]]
-    pairs = [(f"{a}{PAIR}{b}", f"{b}{PAIR}{a}") for a, b in of_one_point]
+    pairs = [
+        (f"{a}{PAIR}{b}", f"{b}{PAIR}{a}")
+        for a, b in combinations(labels, 2)
+        if a.partition(AT)[2] == b.partition(AT)[2]
+    ]
     missing = [pair for pair, turned in pairs if not {pair, turned} & estimate.correlation.keys()]
     if missing:
         lacking = f"{len(missing)} of {len(pairs)} pairs are missing, `{missing[0]}` first"

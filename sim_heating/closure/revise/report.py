@@ -29,17 +29,7 @@ from sim_heating.closure.revise.revisions import revising
 from sim_heating.closure.revise.table_effects import added_ratio
 from sim_heating.closure.revise.update import TableChange, TableUpdate, check_target, prepare_update, write_update
 from sim_heating.closure.verdict.policy import POLICY
-from sim_heating.estimation.report.ratio_plot import (
-    AFTER,
-    BEFORE,
-    LABELS,
-    along_variable,
-    describe_condition,
-    panel_conditions,
-    panel_variables,
-    plot_band,
-    plot_flight,
-)
+from sim_heating.estimation.report import ratio_plot
 from sim_heating.heating.ratio.uncertainty import Posterior, estimated_ratio, node_weights
 from sim_heating.inputs.record import Record, load_records
 from sim_heating.inputs.vehicle import vehicle_directory
@@ -272,28 +262,32 @@ def _cautions(update: TableUpdate, *, reported_shift: float = 1.0) -> Iterator[s
     if update.flight.outside:
         yield f"{update.flight.outside} fitted samples lay outside the table and were omitted"
     for change in update.changes:
-        if change.p_value < POLICY.contradicted_p:
-            yield (
-                "The flight is farther from the table than its sigma allows (chi-square "
-                f"{change.chi_square:.1f} on {change.freedom}, p-value {change.p_value:.1g}): the sigma column or the "
-                "estimate's bounds are too small"
-            )
-        negative = int(np.count_nonzero((change.table.ratio < 0.0) & (change.old.ratio >= 0.0)))
-        if negative:
-            nodes = "1 node becomes" if negative == 1 else f"{negative} nodes become"
-            yield f"{nodes} negative, within what sigma allows, by correlation with others; see the picture"
+        yield from _cautions_of_table(change)
+
+
+def _cautions_of_table(change: TableChange) -> Iterator[str]:
+    if change.p_value < POLICY.contradicted_p:
+        yield (
+            "The flight is farther from the table than its sigma allows (chi-square "
+            f"{change.chi_square:.1f} on {change.freedom}, p-value {change.p_value:.1g}): the sigma column or the "
+            "estimate's bounds are too small"
+        )
+    negative = int(np.count_nonzero((change.table.ratio < 0.0) & (change.old.ratio >= 0.0)))
+    if negative:
+        nodes = "1 node becomes" if negative == 1 else f"{negative} nodes become"
+        yield f"{nodes} negative, within what sigma allows, by correlation with others; see the picture"
 
 
 @replaced_if_undrawable
 def draw_update(path: Path, update: TableUpdate) -> None:
     """One panel for each variable whose derivative was written (angle of attack where none was); bands are 2 sigma."""
-    variables = panel_variables(update.flight.evidence.names)
+    variables = ratio_plot.panel_variables(update.flight.evidence.names)
     figure, axes = new_figure(1.5 + 4.7 * len(variables), 4.8, 1, len(variables), squeeze=False)
     for a, i in zip(axes[0], variables, strict=True):
         _panel(a, update, i)
     axes[0, 0].set_ylabel("heating ratio (2 sigma bands)")
     axes[0, 0].legend(fontsize=8, loc="best")
-    old, where = update.history.revision, describe_condition(update.estimate.reference_condition.values())
+    old, where = update.history.revision, ratio_plot.describe_condition(update.estimate.reference_condition.values())
     save_figure(figure, path, f"{update.point.name}: ratio table, revision {old} to {old + 1}\nabout {where}", axes)
 
 
@@ -304,10 +298,10 @@ def _panel(a: Axes, update: TableUpdate, i: int) -> None:
     """
     axis, flown = update.table.axes[i], update.flight.path.x[:, i]
     reference = update.estimate.reference_condition.values()
-    x = panel_conditions(i, reference, flown, axis)
-    nodes = along_variable(reference, i, axis[(axis >= x[0, i]) & (axis <= x[-1, i])])
-    _plot_table(a, i, update.laminar.before, x, nodes, "table before", BEFORE)
-    _plot_table(a, i, update.laminar.after, x, nodes, "table after", AFTER)
+    x = ratio_plot.panel_conditions(i, reference, flown, axis)
+    nodes = ratio_plot.along_variable(reference, i, axis[(axis >= x[0, i]) & (axis <= x[-1, i])])
+    _plot_table(a, i, update.laminar.before, x, nodes, "table before", ratio_plot.BEFORE)
+    _plot_table(a, i, update.laminar.after, x, nodes, "table after", ratio_plot.AFTER)
     inside = x[(x[:, i] >= flown.min()) & (x[:, i] <= flown.max())]
     names = ratio_names(update.estimate)
     values, covariance = update.estimate.values(names), update.estimate.covariance(names)
@@ -315,12 +309,12 @@ def _panel(a: Axes, update: TableUpdate, i: int) -> None:
     ratio, sigma = estimated_ratio(names, values, covariance, reference, declared, inside)
     for used in update.flight.in_table:
         ratio = ratio + added_ratio(used, inside, reference)
-    plot_flight(a, inside[:, i], ratio, sigma)
-    a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
+    ratio_plot.plot_flight(a, inside[:, i], ratio, sigma)
+    a.set_xlabel(ratio_plot.LABELS[RATIO_VARIABLES[i]])
 
 
 def _plot_table(a: Axes, i: int, table: Posterior, x: FloatArray, nodes: FloatArray, label: str, color: str) -> None:
     """A posterior of the table with its band, and its nodes."""
     W = node_weights(table.prior.axes, x)
-    plot_band(a, x[:, i], W @ table.ratio.ravel(), table.sigma_along(W), label, color)
+    ratio_plot.plot_band(a, x[:, i], W @ table.ratio.ravel(), table.sigma_along(W), label, color)
     a.plot(nodes[:, i], node_weights(table.prior.axes, nodes) @ table.ratio.ravel(), "o", color=color, markersize=4)

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.files import Declared, LocatedError, Location, repeated_name, suggestion
+from sim_heating.base.files import Declared, LocatedError, Location, raise_located, repeated_name, suggestion
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
 from sim_heating.closure.revise.checks import MIN_SIGMA
 from sim_heating.closure.revise.flown_ratio import FlownRatio
@@ -32,8 +32,7 @@ class UsedRecord(Declared):
     @model_validator(mode="after")
     def _check(self) -> UsedRecord:
         wrong = [i for i, s in enumerate(self.segments) if len(s) != 2 or s[0] > s[1]]
-        if wrong:
-            raise LocatedError(*((("segments", i), f"{self.segments[i]} is not [start_s, end_s]") for i in wrong))
+        raise_located([(("segments", i), f"{self.segments[i]} is not [start_s, end_s]") for i in wrong])
         return self
 
 
@@ -67,13 +66,12 @@ class StoredEvidence(Declared):
             "ratio": self.ratio,
             "basis": chain(*self.basis),
         }
-        for key, largest in ((key, max(map(abs, values), default=0.0)) for key, values in numbers.items()):
-            if largest > LARGEST:
+        for key, values in numbers.items():
+            if (largest := max(map(abs, values), default=0.0)) > LARGEST:
                 problems.append(((key,), f"contains {largest:g}, beyond {LARGEST:g}, which no flight gives"))
         if not problems and (rule := _covariance_rule(np.array(self.covariance).reshape(k, k))):
             problems.append((("covariance",), rule))
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return self
 
     def _path_problems(self) -> list[tuple[Location, str]]:

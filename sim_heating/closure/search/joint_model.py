@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
@@ -73,14 +74,15 @@ class Cause:
     def candidate(self) -> Candidate:
         """All of it as one candidate."""
         first, *others = self.candidates
+        join = chain.from_iterable
         return first if not others else Candidate(
             " + ".join(self.names),
-            tuple(u for c in self.candidates for u in c.uses),
-            tuple(dict.fromkeys(n for c in self.candidates for n in c.names)),
-            {n: v for c in self.candidates for n, v in c.start.items()},
-            tuple(n for c in self.candidates for n in c.active),
-            tuple(n for c in self.candidates for n in c.with_prior),
-            {n: p for c in self.candidates for n, p in c.priors.items()},
+            tuple(join(c.uses for c in self.candidates)),
+            tuple(dict.fromkeys(join(c.names for c in self.candidates))),
+            dict(join(c.start.items() for c in self.candidates)),
+            tuple(join(c.active for c in self.candidates)),
+            tuple(join(c.with_prior for c in self.candidates)),
+            dict(join(c.priors.items() for c in self.candidates)),
         )  # fmt: skip
 
     @property

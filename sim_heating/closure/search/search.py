@@ -459,7 +459,7 @@ def _accepted(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypoth
     for count in range(2, POLICY.max_causes + 1):
         # What fewer effects explain, whether they may be named or not: an inadmissible one still shows how little more
         # a further effect adds.
-        simpler = min((h for h in kept), key=lambda h: h.excess_chi2, default=none)
+        simpler = min(kept, key=lambda h: h.excess_chi2, default=none)
         least_explained = none.excess_chi2 - min((h.excess_chi2 for h in singles), default=none.excess_chi2)
         to_beat = min((h.score for h in kept), default=0.0) - POLICY.min_gain_of_further
         of_nameable = min((h.score for h in kept if h.admissible), default=0.0) - POLICY.min_gain_of_further

@@ -67,7 +67,7 @@ def repeated_fits(
     problem = FitProblem([record], names, condition, FitOptions(effects=effects, priors=priors, starts=[begin]))
     parameters, record_fit = problem.parameters, problem.record_fits[0]
     rng = np.random.default_rng(seed)
-    errors, failed = [], 0
+    errors = []
     for k in range(repetitions):
         truth = draw_truth(parameters, rng)
         record_fit.channels = [
@@ -83,12 +83,10 @@ def repeated_fits(
         fit = maximise(problem.evaluate, parameters, log_likelihoods=problem.log_likelihoods)
         if fit.converged:
             errors.append(fit.values - truth)
-        else:
-            failed += 1
         progress((k + 1) / repetitions, f"fits: {k + 1} of {repetitions}")
     if not errors:
         raise RunError(f"design: none of {repetitions} fits converged")
-    return RepeatedFits(tuple(p.name for p in parameters), np.array(errors), failed)
+    return RepeatedFits(tuple(p.name for p in parameters), np.array(errors), repetitions - len(errors))
 
 
 def draw_truth(parameters: Sequence[Parameter], rng: np.random.Generator) -> FloatArray:

@@ -38,7 +38,8 @@ class PackedModel:
             tried = [model.value(name) + by for by in (0.013, 0.029)]
             models = [model.with_parameters({name: v}) for v in tried]
             changed_at = []
-            for vectors in ([stack_values(m) for m in models], [heating_vector(m) for m in models]):
+            for vector_of in (stack_values, heating_vector):
+                vectors = [vector_of(m) for m in models]
                 changed = np.flatnonzero(vectors[0] != vectors[1])
                 is_entry = all(np.all(x[changed] == v) for x, v in zip(vectors, tried, strict=True))
                 changed_at.append(changed if is_entry else None)

@@ -105,7 +105,7 @@ def _parameter_names(point: FilterTrack, priors: Mapping[str, Prior]) -> tuple[s
     """Names of the parameters of a point: of its march, then those that only its readings depend on."""
     of_march = point.names
     others = tuple(name for name in priors if name not in of_march)
-    if [name for name in of_march if name not in priors] or len(of_march) + len(others) != point.parameters:
+    if not priors.keys() >= {*of_march} or len(of_march) + len(others) != point.parameters:
         raise InputError(
             f"{point.model.name}: priors of {', '.join(priors) or 'nothing'} for {point.parameters} parameters, "
             f"{', '.join(of_march)} among them; give one for each"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import D0, LANES, T, node_rows, parameters_at
+from sim_heating.estimation.filter import kernel
 from sim_heating.estimation.filter.arrays import (
     Blocks,
     FilterArrays,
@@ -28,20 +29,6 @@ from sim_heating.estimation.filter.arrays import (
     frozen_gains,
     step_readings,
     workspace,
-)
-from sim_heating.estimation.filter.kernel import (
-    INNOVATION,
-    LOG_LIKELIHOOD,
-    N_OUT,
-    POSTERIOR,
-    POSTERIOR_VARIANCE,
-    PREDICTED,
-    PREDICTED_VARIANCE,
-    PRIOR,
-    PRIOR_VARIANCE,
-    VARIANCE,
-    begin_march,
-    filter_steps,
 )
 from sim_heating.heating.effects.compiled import unusable_value
 from sim_heating.march.linearised import LinearMarch, Track, initial_profile
@@ -273,12 +260,12 @@ class FilterMarch(LinearMarch):
             np.zeros((n + 1, n + 1)),
             np.zeros((n + 1, n + 1)),
         )
-        out = np.full((len(points), readings.time_s.shape[1], N_OUT + m), np.nan)
-        out[..., LOG_LIKELIHOOD] = 0.0
+        out = np.full((len(points), readings.time_s.shape[1], kernel.N_OUT + m), np.nan)
+        out[..., kernel.LOG_LIKELIHOOD] = 0.0
         self._begin([point.initial_K for point in points])
         group, X = self._copies()
-        begin_march(group, self._flights)
-        filter_steps(group, X, self._groups, self._offsets(1 + m), self._flights, True, arrays, out)
+        kernel.begin_march(group, self._flights)
+        kernel.filter_steps(group, X, self._groups, self._offsets(1 + m), self._flights, True, arrays, out)
         self._take_over(group.B)
         for i, point in enumerate(points):
             step = state.diverged[self._lane_of[i]]
@@ -378,16 +365,16 @@ class FilterMarch(LinearMarch):
                 step,
             )
         return Filtered(
-            read[:, PRIOR],
-            read[:, PRIOR_VARIANCE],
-            read[:, POSTERIOR],
-            read[:, POSTERIOR_VARIANCE],
-            read[:, PREDICTED],
-            read[:, PREDICTED_VARIANCE],
-            read[:, INNOVATION],
-            read[:, VARIANCE],
-            read[:, LOG_LIKELIHOOD],
-            read[:, N_OUT : N_OUT + point.parameters],
+            read[:, kernel.PRIOR],
+            read[:, kernel.PRIOR_VARIANCE],
+            read[:, kernel.POSTERIOR],
+            read[:, kernel.POSTERIOR_VARIANCE],
+            read[:, kernel.PREDICTED],
+            read[:, kernel.PREDICTED_VARIANCE],
+            read[:, kernel.INNOVATION],
+            read[:, kernel.VARIANCE],
+            read[:, kernel.LOG_LIKELIHOOD],
+            read[:, kernel.N_OUT : kernel.N_OUT + point.parameters],
             node_rows(self.nominal.memory.block(0))[: size - 1, T, lane].copy(),
             float(state.d[lane]),
             state.P[lane, :size, :size],

@@ -23,18 +23,7 @@ from scipy.special import log_ndtr, ndtri_exp
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.estimation.inference.truncated_normal import (
-    GAIN,
-    LOG_Z,
-    MEAN,
-    N_TERMS,
-    SKEW,
-    SPREAD,
-    SQUARE,
-    fill_scores,
-    fill_terms,
-    information_fraction,
-)
+from sim_heating.estimation.inference import truncated_normal
 from sim_heating.thermal.stack import Sensor
 
 
@@ -150,14 +139,14 @@ def likelihood(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike)
     Source: derived in docs/theory/estimation_statistics.md, equations 3 to 7, after Louis (1982).
     """
     terms, sigma = _terms(samples, mean_K, sigma_K)
-    mean, square = terms[..., MEAN], terms[..., SQUARE]
+    mean, square = terms[..., truncated_normal.MEAN], terms[..., truncated_normal.SQUARE]
     of_samples = {
-        "log_likelihood": terms[..., LOG_Z],
+        "log_likelihood": terms[..., truncated_normal.LOG_Z],
         "score": mean / sigma,
-        "information": terms[..., GAIN] / sigma**2,
+        "information": terms[..., truncated_normal.GAIN] / sigma**2,
         "score_log_sigma": square,
-        "information_log_sigma": 2.0 * (square + 1.0) - terms[..., SPREAD],
-        "information_cross": (2.0 * mean - terms[..., SKEW]) / sigma,
+        "information_log_sigma": 2.0 * (square + 1.0) - terms[..., truncated_normal.SPREAD],
+        "information_cross": (2.0 * mean - terms[..., truncated_normal.SKEW]) / sigma,
     }
     return Likelihood(**{name: np.where(samples.is_lost, 0.0, values) for name, values in of_samples.items()})
 
@@ -181,7 +170,9 @@ def scores(
         each = likelihood(samples, mean_K, sigma_K)
         return float(np.sum(each.log_likelihood)), each.score, each.information
     score, information = np.empty((2, len(mean_K)))
-    total = fill_scores(samples.lower_K, samples.upper_K, mean_K, float(_positive(sigma_K)), score, information)
+    total = truncated_normal.fill_scores(
+        samples.lower_K, samples.upper_K, mean_K, float(_positive(sigma_K)), score, information
+    )
     return total, score, information
 
 
@@ -196,7 +187,7 @@ def log_likelihood(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayL
     Source: docs/theory/estimation_statistics.md, equations 3 and 5.
     """
     terms, _ = _terms(samples, mean_K, sigma_K)
-    return np.where(samples.is_lost, 0.0, terms[..., LOG_Z])
+    return np.where(samples.is_lost, 0.0, terms[..., truncated_normal.LOG_Z])
 
 
 def expected_information(sensor: Sensor, mean_K: ArrayLike, sigma_K: ArrayLike) -> FloatArray:
@@ -217,7 +208,7 @@ def expected_information(sensor: Sensor, mean_K: ArrayLike, sigma_K: ArrayLike) 
     # the lowest inner edge: below it and above the last edge lie the two codes of open intervals
     edge, step = sensor.range_K[0] + 0.5 * sensor.lsb_K, sensor.lsb_K
     gain = [
-        information_fraction((edge - m) / s, step / s, 2**sensor.bits - 1)
+        truncated_normal.information_fraction((edge - m) / s, step / s, 2**sensor.bits - 1)
         for m, s in zip(mean.ravel(), sigma.ravel(), strict=True)
     ]
     return np.reshape(gain, mean.shape) / sigma**2
@@ -257,9 +248,9 @@ def _terms(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike) -> 
     mean = np.asarray(mean_K, dtype=float)
     arrays = np.broadcast_arrays(samples.lower_K, samples.upper_K, mean, _positive(sigma_K))
     lower, upper, mean, sigma = (np.array(a, order="C") for a in arrays)
-    terms = np.empty((mean.size, N_TERMS))
-    fill_terms(lower.ravel(), upper.ravel(), mean.ravel(), sigma.ravel(), terms)
-    return terms.reshape(*mean.shape, N_TERMS), sigma
+    terms = np.empty((mean.size, truncated_normal.N_TERMS))
+    truncated_normal.fill_terms(lower.ravel(), upper.ravel(), mean.ravel(), sigma.ravel(), terms)
+    return terms.reshape(*mean.shape, truncated_normal.N_TERMS), sigma
 
 
 def _positive(sigma_K: ArrayLike) -> FloatArray:

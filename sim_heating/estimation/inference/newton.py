@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
-from sim_heating.base.errors import InputError
+from sim_heating.base.files import raise_problems
 from sim_heating.base.parameters import Parameter
 from sim_heating.estimation.inference.identifiability import (
     ROUNDING,
@@ -295,8 +295,7 @@ def check_parameters(parameters: Sequence[Parameter]) -> None:
             problems.append(f"{p.name}: prior value {p.value:g} is outside its bounds {p.lower:g} to {p.upper:g}")
     if not parameters:
         problems.append("no parameter to estimate; name at least one")
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
 
 
 def maximise(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,6 +31,7 @@ from sim_heating.base.files import (
     check,
     digest_matches,
     display_path,
+    raise_located,
     read_json,
     suggestion,
     with_digest,
@@ -152,8 +153,7 @@ class ReferenceCondition(Extensible):
         problems = [
             ((name,), limit_message(name, value)) for name, value in values.items() if out_of_range(name, value)
         ]
-        if problems:
-            raise LocatedError(*problems)
+        raise_located(problems)
         return self
 
     def values(self) -> FloatArray:
@@ -200,8 +200,7 @@ class FittedStart(Extensible):
     @model_validator(mode="after")
     def _check(self) -> FittedStart:
         wrong = [i for i, row in enumerate(self.profile) if len(row) != 2]
-        if wrong:
-            raise LocatedError(*((("profile", i), f"{self.profile[i]} is not [depth_m, T_K]") for i in wrong))
+        raise_located([(("profile", i), f"{self.profile[i]} is not [depth_m, T_K]") for i in wrong])
         return self
 
 
@@ -282,17 +281,7 @@ class Estimate(Extensible):
 
     @model_validator(mode="after")
     def _check(self) -> Estimate:
-        problems = [*self._parameter_problems(), *self._correlation_problems()]
-        for key, entries in (("segments", self.segments), ("starts", self.starts)):
-            if entries is not None and len(entries) != len(self.records):
-                problems.append(((key,), f"has {len(entries)} entries for {len(self.records)} records"))
-        segments = {(i, j): s for i, record in enumerate(self.segments or []) for j, s in enumerate(record)}
-        for place, s in segments.items():
-            if len(s) != 2 or s[0] > s[1]:
-                rule = f"{s} is not a segment; give [start_s, end_s] with start before end"
-                problems.append((("segments", *place), rule))
-        if problems:
-            raise LocatedError(*problems)
+        raise_located([*self._parameter_problems(), *self._correlation_problems(), *self._segment_problems()])
         # a table update weighs the estimate by its covariance, which must not have a negative variance in any direction
         if not is_correlation(self.correlation_matrix(tuple(self.parameters))):
             raise LocatedError((("correlation",), NOT_A_CORRELATION))
@@ -310,6 +299,15 @@ class Estimate(Extensible):
                 rule = f'"{p.unit}" is not the unit of {name}; it is "{MODEL[name].unit}"'
                 problems.append((("parameters", name, "unit"), rule))
         return problems
+
+    def _segment_problems(self) -> Iterator[tuple[Location, str]]:
+        for key, entries in (("segments", self.segments), ("starts", self.starts)):
+            if entries is not None and len(entries) != len(self.records):
+                yield (key,), f"has {len(entries)} entries for {len(self.records)} records"
+        for i, segments in enumerate(self.segments or []):
+            for j, s in enumerate(segments):
+                if len(s) != 2 or s[0] > s[1]:
+                    yield ("segments", i, j), f"{s} is not a segment; give [start_s, end_s] with start before end"
 
     def _correlation_problems(self) -> list[tuple[Location, str]]:
         problems: list[tuple[Location, str]] = []

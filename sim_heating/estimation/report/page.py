@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -80,11 +81,14 @@ def _declared(estimate: Estimate, segments: str) -> FitErrors | None:
 def _parameters_section(fitted: FitResult, estimate: Estimate, parameters: Table) -> Section:
     about = derivatives_about(estimate.parameters, estimate.reference_condition.values())
     text = f"One standard deviation, corrected for coloured residuals. {about}".rstrip()
-    fixed = {n: p for n, p in estimate.fixed.items() if n not in estimate.not_estimated}
-    points = [f"{n}: fixed at {p.value:g} {p.unit}".removesuffix(" 1") for n, p in fixed.items()]
+    points = [
+        f"{n}: fixed at {p.value:g} {p.unit}".removesuffix(" 1")
+        for n, p in estimate.fixed.items()
+        if n not in estimate.not_estimated
+    ]
     points += [f"{n}: tied to {other}" for n, other in estimate.ties.items() if n != other]
     points += [p.in_words() for p in fitted.profiles.values()]
-    points += [f"{n}: not estimated, {why}" for n, why in estimate.not_estimated.items()]
+    points += starmap("{}: not estimated, {}".format, estimate.not_estimated.items())
     points += [remark.in_words for remark in estimate.remarks]
     strongest = sorted(estimate.correlation.items(), key=lambda item: -abs(item[1]))
     rows = [[*pair.split(PAIR), rho] for pair, rho in strongest if abs(rho) >= NOTABLE]

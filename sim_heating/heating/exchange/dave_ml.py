@@ -107,7 +107,7 @@ class GriddedTable:
             i = np.clip(np.searchsorted(axis, xi, side="right") - 1, 0, len(axis) - 2)
             f = (xi - axis[i]) / (axis[i + 1] - axis[i])
             cells.append((i, np.clip(f, -np.inf if below else 0.0, np.inf if above else 1.0)))
-        value = np.zeros(np.broadcast_shapes(*(np.shape(xi) for xi in x)))
+        value = np.zeros(np.broadcast_shapes(*map(np.shape, x)))
         for corner in np.ndindex(*(min(2, len(axis)) for axis in self.axes)):
             weight: Any = 1.0
             for (_, f), upper in zip(cells, corner, strict=True):
@@ -389,7 +389,7 @@ class _Reader:
                 raise InputError(f"variableDef `{v.id or e.get('name')}`: its varID is missing or repeated")
             variables[v.id] = v
         names = {v.name: i for i, v in reversed(variables.items())}
-        functions = tuple(self.function(e) for e in _children(self.root, "function"))
+        functions = tuple(map(self.function, _children(self.root, "function")))
         cases = tuple(
             _case(e, variables, names)
             for data in _children(self.root, "checkData")

@@ -91,9 +91,7 @@ def read_math(element: ET.Element) -> Expression:
             raise InputError(f"<math> holds {len(element)} elements; it must hold one")
         return read_math(element[0])
     if name == "cn":
-        if len(element) or element.get("type", "real") not in ("real", "integer", "e-notation"):
-            return _scientific(element)
-        return number_of(element.text, "<cn>")
+        return _number(element)
     if name == "ci":
         return (element.text or "").strip()
     if name in CONSTANTS:
@@ -103,6 +101,12 @@ def read_math(element: ET.Element) -> Expression:
     if name != "apply" or not len(element):
         raise InputError(f"<{name}> of MathML is not known here")
     return _application(element)
+
+
+def _number(element: ET.Element) -> float:
+    if len(element) or element.get("type", "real") not in ("real", "integer", "e-notation"):
+        return _scientific(element)
+    return number_of(element.text, "<cn>")
 
 
 def _application(element: ET.Element) -> Expression:

@@ -29,16 +29,7 @@ from sim_heating.base.conditions import DESCRIPTIONS, RATIO_VARIABLES, SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import csv_text, display_path, raise_problems, write_text_atomic
 from sim_heating.base.files.text import write_bytes_atomic
-from sim_heating.heating.exchange.dave_ml import (
-    CheckCase,
-    DaveModel,
-    Function,
-    GriddedTable,
-    Signal,
-    Variable,
-    dave_ml_text,
-    read_dave_ml,
-)
+from sim_heating.heating.exchange import dave_ml
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, table_of_text, write_ratio_table
 
 RATIO, SIGMA = "ratio", "sigma"
@@ -71,7 +62,7 @@ def _units(name: str) -> str:
     return "deg" if name.endswith("_deg") else "nd"
 
 
-def dave_ml_of(table: RatioTable) -> DaveModel:
+def dave_ml_of(table: RatioTable) -> dave_ml.DaveModel:
     """A ratio table as a model: five inputs ([deg], [-]), the ratio and its sigma [-]; check data at nodes and
     between them.
 
@@ -79,7 +70,7 @@ def dave_ml_of(table: RatioTable) -> DaveModel:
     """
     names = (*RATIO_VARIABLES, RATIO, *(() if table.sigma is None else (SIGMA,)))
     variables = {
-        n: Variable(
+        n: dave_ml.Variable(
             n,
             {"name": STANDARD_NAMES[n], "units": _units(n)},
             ("isInput",) if n in RATIO_VARIABLES else ("isOutput",),
@@ -90,11 +81,11 @@ def dave_ml_of(table: RatioTable) -> DaveModel:
     ends = tuple((float(a[0]), float(a[-1])) for a in table.axes)
     extrapolation = ("neither",) * len(RATIO_VARIABLES)
     functions = tuple(
-        Function(
+        dave_ml.Function(
             STANDARD_NAMES[n],
             RATIO_VARIABLES,
             n,
-            GriddedTable(f"{n}_table", (), table.axes, values),
+            dave_ml.GriddedTable(f"{n}_table", (), table.axes, values),
             ends,
             extrapolation,
         )
@@ -104,9 +95,9 @@ def dave_ml_of(table: RatioTable) -> DaveModel:
     about = "\n".join(f"{key}: {value}" for key, value in table.header.items())
     title = f"Heating ratio {table.header.get('control_point', '')}".strip()
     author = {"name": table.header.get("source", "unknown"), "org": "unknown"}
-    model = DaveModel(title, variables, functions, (), about, author)
+    model = dave_ml.DaveModel(title, variables, functions, (), about, author)
     cases = tuple(_case(model, k, x) for k, x in enumerate(_check_points(table)))
-    return DaveModel(title, variables, functions, cases, about, author)
+    return dave_ml.DaveModel(title, variables, functions, cases, about, author)
 
 
 def _check_points(table: RatioTable) -> list[dict[str, float]]:
@@ -118,13 +109,13 @@ def _check_points(table: RatioTable) -> list[dict[str, float]]:
     return [dict(zip(RATIO_VARIABLES, x, strict=True)) for x in (first, middle, last, beyond)]
 
 
-def _case(model: DaveModel, number: int, x: Mapping[str, float]) -> CheckCase:
+def _case(model: dave_ml.DaveModel, number: int, x: Mapping[str, float]) -> dave_ml.CheckCase:
     outputs = model.evaluate(x)
-    results = tuple(Signal(n, float(outputs[n]), TOLERANCE) for n in model.outputs)
-    return CheckCase(f"case {number + 1}", tuple(Signal(n, value) for n, value in x.items()), results)
+    results = tuple(dave_ml.Signal(n, float(outputs[n]), TOLERANCE) for n in model.outputs)
+    return dave_ml.CheckCase(f"case {number + 1}", tuple(dave_ml.Signal(n, value) for n, value in x.items()), results)
 
 
-def _inputs_of_ratio(model: DaveModel, where: str) -> dict[str, str | None]:
+def _inputs_of_ratio(model: dave_ml.DaveModel, where: str) -> dict[str, str | None]:
     """Variable of a heating ratio -> the input of a model that is it; None where the model has none.
 
     raises : InputError where an input is no such variable, or in another unit
@@ -143,7 +134,7 @@ def _inputs_of_ratio(model: DaveModel, where: str) -> dict[str, str | None]:
 
 def _read_dave_ml(path: Path) -> RatioTable:
     """A ratio table from a model of which an output is the ratio, sampled at the nodes of its tables."""
-    model, where = read_dave_ml(path), display_path(path)
+    model, where = dave_ml.read_dave_ml(path), display_path(path)
     raise_problems([f"{where}: {p}" for p in model.check_problems()])
     result = _variable_named(model, RATIO, model.outputs)
     if result is None:
@@ -166,14 +157,14 @@ def _read_dave_ml(path: Path) -> RatioTable:
     return table_of_text(path, csv_text(columns, None, header))
 
 
-def _variable_named(model: DaveModel, name: str, among: tuple[str, ...]) -> str | None:
+def _variable_named(model: dave_ml.DaveModel, name: str, among: tuple[str, ...]) -> str | None:
     """Identifier of the variable with the name in the standard, or the identifier, of a column."""
     accepted = (STANDARD_NAMES[name], name)
     return next((i for i in among if i in accepted or model.variables[i].name in accepted), None)
 
 
 def _write_dave_ml(path: Path, table: RatioTable) -> None:
-    write_text_atomic(path, dave_ml_text(dave_ml_of(table)))
+    write_text_atomic(path, dave_ml.dave_ml_text(dave_ml_of(table)))
 
 
 def _absent_surfaces(data: Any, where: str) -> list[str]:
@@ -182,7 +173,7 @@ def _absent_surfaces(data: Any, where: str) -> list[str]:
     raises : InputError where another variable of a ratio is no dimension, another dimension is there, or one has no
              nodes
     """
-    dimensions = [str(d) for d in data[RATIO].dims]
+    dimensions = list(map(str, data[RATIO].dims))
     lacking = [n for n in RATIO_VARIABLES if n not in dimensions]
     for name in lacking:
         if name not in SURFACES:
@@ -216,7 +207,8 @@ def _read_netcdf(path: Path) -> RatioTable:
     for n in (RATIO, SIGMA):
         if n in data:
             columns[n] = np.asarray(data[n].transpose(*RATIO_VARIABLES), dtype=float).ravel()
-    header = {str(k): " ".join(str(v).split()) for k, v in data.attrs.items() if k != "Conventions"}
+    data.attrs.pop("Conventions", None)
+    header = {str(k): " ".join(str(v).split()) for k, v in data.attrs.items()}
     return table_of_text(path, csv_text(columns, None, header))
 
 

@@ -67,7 +67,7 @@ class RatioTable:
     header: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        shape = tuple(len(a) for a in self.axes)
+        shape = tuple(map(len, self.axes))
         if len(self.axes) != len(RATIO_VARIABLES) or self.ratio.shape != shape:
             raise InputError(f"ratio table: ratio has shape {self.ratio.shape}, its axes {shape}; they must agree")
         if self.sigma is not None and self.sigma.shape != shape:

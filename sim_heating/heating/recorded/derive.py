@@ -20,16 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.heating.atmosphere import (
-    GAMMA,
-    R_AIR,
-    SLOWEST_RE,
-    UPPER_BASE_M,
-    free_stream,
-    geometric,
-    sutherland_viscosity,
-    us76,
-)
+from sim_heating.heating import atmosphere
 from sim_heating.heating.recorded.fields import GEOPOTENTIAL, REYNOLDS, SOUND
 from sim_heating.heating.recorded.sounding import Sounding
 
@@ -100,7 +91,7 @@ class _Air:
             return self.conditions[name]
         if not self._columns:
             z = self.conditions["altitude_m"]
-            self._columns = dict(zip(AIR, us76(z), strict=True))
+            self._columns = dict(zip(AIR, atmosphere.us76(z), strict=True))
             if self.sounding is not None:
                 self._columns, notes = self.sounding.at(z, self._columns)
                 self.notes += notes
@@ -122,10 +113,10 @@ def _add_other_forms(c: dict[str, FloatArray]) -> list[str]:
     """Altitude [m] and log10 Re [-] from the geopotential height and the Reynolds number; notes of what was added."""
     notes = []
     if GEOPOTENTIAL in c and "altitude_m" not in c:
-        c["altitude_m"] = np.array([geometric(float(h)) for h in c[GEOPOTENTIAL]])
+        c["altitude_m"] = np.array([atmosphere.geometric(float(h)) for h in c[GEOPOTENTIAL]])
         notes.append("altitude_m from the geopotential height")
     if REYNOLDS in c and "log10_re" not in c:
-        c["log10_re"] = np.log10(np.maximum(c[REYNOLDS], SLOWEST_RE))
+        c["log10_re"] = np.log10(np.maximum(c[REYNOLDS], atmosphere.SLOWEST_RE))
         notes.append("log10_re from the Reynolds number, of the reference length of the file")
     return notes
 
@@ -138,7 +129,7 @@ def _add_speed(c: dict[str, FloatArray], notes: list[str], air: _Air) -> None:
         c["velocity_m_s"] = c["mach"] * c[SOUND]
         notes.append("velocity_m_s from mach and the speed of sound")
     elif air.is_known:
-        c["velocity_m_s"] = c["mach"] * np.sqrt(GAMMA * R_AIR * air["T_inf_K"])
+        c["velocity_m_s"] = c["mach"] * np.sqrt(atmosphere.GAMMA * atmosphere.R_AIR * air["T_inf_K"])
         notes.append(f"velocity_m_s from mach{air.named('T_inf_K')}")
 
 
@@ -151,10 +142,10 @@ def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air, requeste
         c["rho_kg_m3"] = 2.0 * c[q] / c["velocity_m_s"] ** 2
         notes.append(f"rho_kg_m3 from {q} and velocity_m_s")
     elif "p_inf_Pa" in c and "T_inf_K" in c and np.all(c["p_inf_Pa"] > 0.0):
-        c["rho_kg_m3"] = c["p_inf_Pa"] / (R_AIR * c["T_inf_K"])
+        c["rho_kg_m3"] = c["p_inf_Pa"] / (atmosphere.R_AIR * c["T_inf_K"])
         notes.append("rho_kg_m3 from p_inf_Pa and T_inf_K")
     elif "p_inf_Pa" in c and "altitude_m" in c and np.all(c["p_inf_Pa"] > 0.0):
-        c["rho_kg_m3"] = c["p_inf_Pa"] / (R_AIR * air["T_inf_K"])
+        c["rho_kg_m3"] = c["p_inf_Pa"] / (atmosphere.R_AIR * air["T_inf_K"])
         notes.append(f"rho_kg_m3 from p_inf_Pa{air.named('T_inf_K')}")
     elif "altitude_m" in c:
         c["rho_kg_m3"] = air["rho_kg_m3"]
@@ -164,21 +155,23 @@ def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air, requeste
 def _add_air(c: dict[str, FloatArray], notes: list[str], air: _Air, absent: Collection[str]) -> None:
     """Temperature [K] and pressure [Pa] by the gas law, where one of them is absent, or of the air of the day."""
     if "T_inf_K" in absent:
-        low = np.all(c["altitude_m"] <= UPPER_BASE_M) and "p_inf_Pa" in c and np.all(c["p_inf_Pa"] > 0.0)
-        c["T_inf_K"] = c["p_inf_Pa"] / (c["rho_kg_m3"] * R_AIR) if low else air["T_inf_K"]
+        low = np.all(c["altitude_m"] <= atmosphere.UPPER_BASE_M) and "p_inf_Pa" in c and np.all(c["p_inf_Pa"] > 0.0)
+        c["T_inf_K"] = c["p_inf_Pa"] / (c["rho_kg_m3"] * atmosphere.R_AIR) if low else air["T_inf_K"]
         notes.append("T_inf_K from p_inf_Pa and rho_kg_m3" if low else f"T_inf_K of {air.source}")
     if "p_inf_Pa" in absent:
-        c["p_inf_Pa"] = c["rho_kg_m3"] * R_AIR * c["T_inf_K"]
+        c["p_inf_Pa"] = c["rho_kg_m3"] * atmosphere.R_AIR * c["T_inf_K"]
         notes.append("p_inf_Pa from rho_kg_m3 and T_inf_K")
 
 
 def _add_similarity(c: dict[str, FloatArray], absent: Collection[str], length_m: float) -> None:
     """Mach number [-] and log10 of the Reynolds number [-] on a length [m], where absent."""
     if "mach" in absent:
-        c["mach"] = c["velocity_m_s"] / (c[SOUND] if SOUND in c else np.sqrt(GAMMA * R_AIR * c["T_inf_K"]))
+        c["mach"] = c["velocity_m_s"] / (
+            c[SOUND] if SOUND in c else np.sqrt(atmosphere.GAMMA * atmosphere.R_AIR * c["T_inf_K"])
+        )
     if "log10_re" in absent:
-        re = c["rho_kg_m3"] * c["velocity_m_s"] * length_m / sutherland_viscosity(c["T_inf_K"])
-        c["log10_re"] = np.log10(np.maximum(re, SLOWEST_RE))
+        re = c["rho_kg_m3"] * c["velocity_m_s"] * length_m / atmosphere.sutherland_viscosity(c["T_inf_K"])
+        c["log10_re"] = np.log10(np.maximum(re, atmosphere.SLOWEST_RE))
 
 
 def _add_free_stream(
@@ -190,7 +183,7 @@ def _add_free_stream(
         return
     length = METRE if length_m is None else length_m
     if {"T_inf_K", "p_inf_Pa"} <= set(absent) and air.sounding is None:
-        standard = free_stream(c["altitude_m"], c["velocity_m_s"], c["rho_kg_m3"], length)
+        standard = atmosphere.free_stream(c["altitude_m"], c["velocity_m_s"], c["rho_kg_m3"], length)
         c |= {name: standard[name] for name in absent}
         air.of_model.add("T_inf_K")
         notes.append(f"T_inf_K of {STANDARD}, p_inf_Pa from it and rho_kg_m3")

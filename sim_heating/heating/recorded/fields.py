@@ -21,7 +21,7 @@ from pydantic import Field, model_validator
 
 from sim_heating.base.conditions import DESCRIPTIONS
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Declared, LocatedError, Location, suggestion
+from sim_heating.base.files import Declared, LocatedError, Location, raise_located, raise_problems, suggestion
 from sim_heating.base.files.units import NO_DIMENSION, Conversion, conversion, converted, known_unit, name_and_unit
 
 _QUOTIENTS = {"m_s": "m/s", "kg_m3": "kg/m3", "W_m2": "W/m2", "kg_m2_s": "kg/(m2.s)", "J_kg": "J/kg"}
@@ -119,8 +119,7 @@ def check_columns(fields: dict[str, Any], of_time: str = "") -> dict[str, Any]:
         for name in fields
         if name not in names
     ]
-    if problems:
-        raise LocatedError(*problems)
+    raise_located(problems)
     return fields
 
 
@@ -287,6 +286,5 @@ def _stated_fields(
             problems += error.problems
             continue
         fields[column] = FlightField(named.field, column, unit, convert)
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
     return fields

@@ -18,7 +18,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import suggestion
+from sim_heating.base.files import raise_problems, suggestion
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.atmosphere import CP_AIR
 from sim_heating.heating.reference.cylinder import line_angle, swept_cylinder_film
@@ -325,8 +325,7 @@ def _check_geometry(model: ReferenceModel, nose_radius_m: float, running_length_
         lengths["heating.running_length_m"] = running_length_m
     bad = {key: value for key, value in lengths.items() if not 0.0 < value < np.inf}
     problems = [f"{key}: {value} (must be finite and above 0)" for key, value in bad.items()]
-    if problems:
-        raise InputError(*problems)
+    raise_problems(problems)
 
 
 def _check_columns(model: ReferenceModel, recovery: Recovery, conditions: Conditions) -> None:

@@ -246,17 +246,14 @@ class LookAhead:
         self, i: int, now: PointEstimate, frame: Frame, planned: Future | None, states: Mapping[str, AheadState]
     ) -> tuple[KnockOff, float | None]:
         """Whether the planned manoeuvre has to be stopped at point i to keep its limits, and by when [s]."""
-        if self.futures is None or not isinstance(planned, Course) or "planned" not in states:
+        passes = {name: s.probability for name, s in states.items() if s.probability is not None}
+        if self.futures is None or not isinstance(planned, Course) or "planned" not in passes:
             return "unknown", None
-        passes = states["planned"].probability
-        if passes is None:
-            return "unknown", None
-        if passes <= 1.0 - self.keep:
+        if passes["planned"] <= 1.0 - self.keep:
             return "never needed", None
         if not now.ratio_sigma <= INFORMED * abs(now.ratio):
             return "unknown", None
-        at_once = states["nominal"].probability if "nominal" in states else None
-        if at_once is None or at_once > 1.0 - self.keep:
+        if passes.get("nominal", math.inf) > 1.0 - self.keep:
             return "too late", None
         last = max((w.end_s for w in self.futures.manoeuvres(planned)), default=frame.time_s)
         return "by", self._latest_stop(i, now, frame, planned, min(last, frame.time_s + self.horizon_s))

@@ -62,13 +62,17 @@ class Start:
         read_K : first readings [K], by number of the sensor;  conditions : (condition,) of the point
         """
         declared = initial_temperatures(point.model.construction, point.mesh)
-        rows = {n: k for k, n in enumerate(self._sensors.of_point[i])}
-        by_node = {point.mesh.sensors[k]: read_K[n] for n, k in rows.items() if n in read_K}
-        apart_K = max((abs(T - declared[node]) for node, T in by_node.items()), default=0.0)
-        sigmas_K = [self._sensors.sigma_K[n] for n in rows if n in read_K]
+        sensors = [(k, n) for k, n in enumerate(self._sensors.of_point[i]) if n in read_K]
+        by_node = {point.mesh.sensors[k]: read_K[n] for k, n in sensors}
+
+        def largest_miss_K(profile: FloatArray) -> float:
+            return max((abs(T - float(profile[node])) for node, T in by_node.items()), default=0.0)
+
+        apart_K = largest_miss_K(declared)
+        sigmas_K = [self._sensors.sigma_K[n] for _, n in sensors]
         exactly = declared, np.zeros((len(declared), len(declared)))
         agrees = apart_K <= START_AGREES * max([*sigmas_K, START_SIGMA_K / START_AGREES])
-        if self._options.start == "declared" or (self._options.start == "auto" and agrees):
+        if {"declared": True, "auto": agrees}.get(self._options.start, False):
             return exactly
         if not by_node:
             self._notices.tell(f"{point.name}: no reading to start from; the declared temperatures are taken")
@@ -82,7 +86,7 @@ class Start:
                 "taken"
             )
             return exactly
-        miss_K = max(abs(T - float(profile[node])) for node, T in by_node.items())
+        miss_K = largest_miss_K(profile)
         if miss_K > START_AGREES * reading_sigma_K(apart_K):
             self._notices.tell(
                 f"{point.name}: no history of heating agrees with its first readings; the start misses them by up to "

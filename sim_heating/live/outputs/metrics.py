@@ -79,42 +79,46 @@ class Metrics:
 
     def collect(self) -> Iterator[Metric]:
         """Metrics of the latest state; one that is not known is absent."""
-        from prometheus_client.core import CounterMetricFamily
+        if self._state is not None:
+            yield from _of_link(self._state)
+            yield from _of_points(self._state)
 
-        state = self._state
-        if state is None:
-            return
-        yield _gauge("flight_time_seconds", "flight time of the estimate", {(): state.time_s})
-        yield from _gauges(LINK, {(): state.link})
-        phases = {(phase,): phase == state.link.state for phase in PHASES}
-        yield _gauge("link_state", "1 for the state that the link is in", phases, "state")
-        for name, text in COUNTS.items():
-            counter = CounterMetricFamily(PREFIX + name, text)
-            counter.add_metric((), float(getattr(state.link, name.removeprefix("link_"))))
-            yield counter
-        yield from _gauges(POINT, {(name,): point for name, point in state.points.items()}, "point")
-        sensors = {(p, s): sensor for p, point in state.points.items() for s, sensor in point.sensors.items()}
-        yield from _gauges(SENSOR, sensors, "point", "sensor")
-        parameters = {
-            (p, name, parameter.unit): parameter
-            for p, point in state.points.items()
-            for name, parameter in point.parameters.items()
-        }
-        about = {
-            "parameter": ("value", "estimated parameter"),
-            "parameter_sigma": ("sigma", "standard deviation of it"),
-        }
-        yield from _gauges(about, parameters, "point", "parameter", "unit")
-        futures = {(p, name): future for p, point in state.points.items() for name, future in point.ahead.items()}
-        yield from _gauges(FUTURE, futures, "point", "future")
-        removed = {(removal.point, removal.sensor): removal.since_s for removal in state.removed}
-        yield _gauge("sensor_removed_since_seconds", "flight time since when it is out", removed, "point", "sensor")
-        missing = state.missing
-        yield _gauge("missing_effect_alarm", "whether the test for a missing effect has fired", {(): missing.alarm})
-        yield _gauge("missing_effect_statistic", "statistic of the test for a missing effect", {(): missing.statistic})
-        yield _gauge("missing_effect_threshold", "where the test for a missing effect fires", {(): missing.threshold})
-        candidates = {(candidate.what,): candidate.probability for candidate in missing.candidates}
-        yield _gauge("missing_effect_probability", "what could be missing", candidates, "effect")
+
+def _of_link(state: State) -> Iterator[Metric]:
+    from prometheus_client.core import CounterMetricFamily
+
+    yield _gauge("flight_time_seconds", "flight time of the estimate", {(): state.time_s})
+    yield from _gauges(LINK, {(): state.link})
+    phases = {(phase,): phase == state.link.state for phase in PHASES}
+    yield _gauge("link_state", "1 for the state that the link is in", phases, "state")
+    for name, text in COUNTS.items():
+        counter = CounterMetricFamily(PREFIX + name, text)
+        counter.add_metric((), float(getattr(state.link, name.removeprefix("link_"))))
+        yield counter
+
+
+def _of_points(state: State) -> Iterator[Metric]:
+    """Metrics of control points, their sensors, parameters and futures, and of what they lack."""
+    yield from _gauges(POINT, {(name,): point for name, point in state.points.items()}, "point")
+    sensors = {(p, s): sensor for p, point in state.points.items() for s, sensor in point.sensors.items()}
+    yield from _gauges(SENSOR, sensors, "point", "sensor")
+    parameters = {
+        (p, name, parameter.unit): parameter
+        for p, point in state.points.items()
+        for name, parameter in point.parameters.items()
+    }
+    about = {"parameter": ("value", "estimated parameter"), "parameter_sigma": ("sigma", "standard deviation of it")}
+    yield from _gauges(about, parameters, "point", "parameter", "unit")
+    futures = {(p, name): future for p, point in state.points.items() for name, future in point.ahead.items()}
+    yield from _gauges(FUTURE, futures, "point", "future")
+    removed = {(removal.point, removal.sensor): removal.since_s for removal in state.removed}
+    yield _gauge("sensor_removed_since_seconds", "flight time since when it is out", removed, "point", "sensor")
+    missing = state.missing
+    yield _gauge("missing_effect_alarm", "whether the test for a missing effect has fired", {(): missing.alarm})
+    yield _gauge("missing_effect_statistic", "statistic of the test for a missing effect", {(): missing.statistic})
+    yield _gauge("missing_effect_threshold", "where the test for a missing effect fires", {(): missing.threshold})
+    candidates = {(candidate.what,): candidate.probability for candidate in missing.candidates}
+    yield _gauge("missing_effect_probability", "what could be missing", candidates, "effect")
 
 
 def _gauges(

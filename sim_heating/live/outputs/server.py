@@ -66,7 +66,6 @@ ON_ITS_WAY = 1 << 17
 """Bytes that may be on their way to a reader: what waits in a longer line is old when it arrives."""
 LONGEST_WORD = 1024
 """Bytes that a reader may send in one message."""
-LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 SHORTEST_TOKEN = 16
 """Characters of a token: one that is shorter can be guessed."""
 
@@ -282,11 +281,11 @@ class PageServer:
         except ValueError:
             return "the origin of this request is no address\n", 400
         if self.token is None:
-            if host.rsplit(":", 1)[0] not in LOOPBACK and not is_loopback(host.rsplit(":", 1)[0]):
+            if not is_loopback(host.rsplit(":", 1)[0]):
                 return f"this page is at {self.url}\n", 421
         elif not self._has_token(scope, headers, self.token):
             return "this page needs its token: open the address that the program printed\n", 401
-        if scope["type"] == "websocket" and site is not None and site != host:
+        if scope["type"] == "websocket" and site not in (None, host):
             return "not from another site\n", 403
         return None
 

@@ -332,7 +332,7 @@ def require_usable(
     if not path.is_file() or path.stat().st_size == 0:
         return
     head = read_head(path)
-    name, is_own_replay = display_path(path), sent_again != "" and head.sent_again == sent_again
+    name, is_own_replay = display_path(path), "" != sent_again == head.sent_again
     if _is_empty(head) or (head.is_closed and is_own_replay):
         return
     if head.is_closed and has_results:
@@ -347,7 +347,7 @@ def require_usable(
             "directory by --out"
         )
     if apart := differences((head.link, head.means), (link, means)):
-        shown = "; ".join([*apart[:4], *([f"and {len(apart) - 4} more"] if len(apart) > 4 else [])])
+        shown = "; ".join(apart if len(apart) <= 4 else [*apart[:4], f"and {len(apart) - 4} more"])
         raise InputError(
             f"{name}: was begun with another link: {shown}. Go on with the link that began it, or name another "
             "directory by --out"

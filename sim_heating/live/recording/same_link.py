@@ -92,23 +92,20 @@ def _apart(value: Any, other: Any, key_path: str) -> Iterator[str]:
     if isinstance(value, Mapping) and isinstance(other, Mapping):
         for key in dict.fromkeys([*value, *other]):
             yield from _apart(value.get(key), other.get(key), f"{key_path}.{key}".lstrip("."))
-    elif _is_list(value) and _is_list(other) and _has_tables(value, other):
+    elif _are_tables(value) and _are_tables(other):
         if len(value) != len(other):
             yield f"[[{key_path}]]: there were {len(value)}, now {len(other)}"
         for k, (a, b) in enumerate(zip(value, other, strict=False), start=1):
             yield from _apart(a, b, f"{key_path} {k}")
-    elif value != other and key_path.startswith("files."):
-        yield f"{key_path.removeprefix('files.')} names a file that was changed"
     elif value != other:
-        yield f"`{key_path}` was {_shown(value)}, now {_shown(other)}"
+        file = key_path.removeprefix("files.")
+        was = f"`{key_path}` was {_shown(value)}, now {_shown(other)}"
+        yield was if file == key_path else f"{file} names a file that was changed"
 
 
-def _is_list(value: Any) -> bool:
-    return isinstance(value, Sequence) and not isinstance(value, str)
-
-
-def _has_tables(values: Sequence[Any], other: Sequence[Any]) -> bool:
-    return all(isinstance(v, Mapping) for v in (*values, *other))
+def _are_tables(values: Any) -> bool:
+    is_list = isinstance(values, Sequence) and not isinstance(values, str)
+    return is_list and all(isinstance(v, Mapping) for v in values)
 
 
 def _shown(value: Any) -> str:

@@ -233,11 +233,15 @@ def _record_like(record: Record, flown: Mapping[str, FloatArray], measured: Mapp
     sensors = [s for s in record.sensors if s.column in measured]
     declared = record.with_sensors(sensors).declared
     first_s, last_s = float(measured["time_s"][0]), float(measured["time_s"][-1])
-    stated = {"fit": declared.segments.fit or (), "holdout": declared.segments.holdout or ()}
-    reached = {name: [s for s in every if s[0] <= last_s and s[1] >= first_s] for name, every in stated.items()}
-    overlapping = {name: segments for name, segments in reached.items() if segments}
+    overlapping: dict[str, list[list[float]]] = {}
+    for name, segments in (("fit", declared.segments.fit), ("holdout", declared.segments.holdout)):
+        for segment in segments or ():
+            if segment[0] <= last_s and segment[1] >= first_s:
+                overlapping.setdefault(name, []).append(segment)
     declared = declared.model_copy(update={"segments": Segments(**overlapping)})
-    conditions = Conditions({name: v for name, v in flown.items() if name in DESCRIPTIONS or name in record.conditions})
+    conditions = Conditions(
+        {name: v for name, v in flown.items() if name in {*DESCRIPTIONS, *record.conditions.columns}}
+    )
     return make_record(
         declared, conditions, measured, record.ratio_table, record.declared.control_point, record.turbulent
     )

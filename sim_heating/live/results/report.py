@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import starmap
 from typing import Any
 
 import numpy as np
@@ -93,7 +94,7 @@ def _point(engine: LinkEngine, name: str, point: PointState) -> Section:
     charts = []
     if history or readings:
         spans = _failed_spans(engine, name)
-        panels = _wall_panels(history) + [p for k, v in readings.items() for p in _sensor_panels(k, v)]
+        panels = sum(starmap(_sensor_panels, readings.items()), start=_wall_panels(history))
         caption = (
             f"{name}: estimates as they were during the flight, bands of 2 sigma. Readings, and what was expected "
             "of each before it was taken. Shaded: a sensor that failed."

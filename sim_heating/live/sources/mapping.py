@@ -97,10 +97,7 @@ class _Word:
 
     def temperature_K(self, word: float) -> float:
         if self.codes:
-            if not (0.0 <= word < self.codes and word == math.floor(word)):
-                raise InputError(f"`{self.field}`: {word:g} is not a code of a recorder, 0 to {self.codes - 1}")
-            assert self.sensor.range_K is not None
-            return self.sensor.range_K[0] + word * self.sensor.lsb_K
+            return self._decoded_K(word)
         value = self.convert(_polynomial(self.calibration, word) if self.calibration else word)
         if value > HOTTEST_K:
             raise InputError(f"`{self.field}`: {value:g} K is not a temperature")
@@ -111,6 +108,12 @@ class _Word:
             if not low - self.sensor.lsb_K <= value <= high + self.sensor.lsb_K:
                 raise InputError(f"`{self.field}`: {value:g} K is outside the recorder's {low:g} to {high:g} K")
         return value
+
+    def _decoded_K(self, word: float) -> float:
+        if not (0.0 <= word < self.codes and word == math.floor(word)):
+            raise InputError(f"`{self.field}`: {word:g} is not a code of a recorder, 0 to {self.codes - 1}")
+        assert self.sensor.range_K is not None
+        return self.sensor.range_K[0] + word * self.sensor.lsb_K
 
 
 def _polynomial(coefficients: Sequence[float], x: float) -> float:
@@ -179,8 +182,8 @@ class ConditionFields:
         if self._seen.issuperset(names):
             return
         for name in [n for n in names if n not in {*self._seen, *self._taken}]:
-            declared = FlightField(name, name, column_unit(name), Conversion(1.0, 0.0)) if name in self._own else None
-            flight_field = declared or field_of_name(name)
+            declared = FlightField(name, name, column_unit(name), Conversion(1.0, 0.0))
+            flight_field = declared if name in self._own else field_of_name(name)
             if flight_field is None or flight_field.unit is None:
                 continue
             if flight_field.column in self._own or self._may_give(flight_field):

@@ -106,16 +106,17 @@ class SensorChecks:
         sigma_K = math.sqrt(read.predicted_variance_K2)
         recent.take((read.time_s, read.read_K, read.predicted_K, score, sigma_K))
         why = self._stuck(key, recent) or self._flickers(recent)
-        drift = "" if why else self._drifts(key, recent)
-        if model_is_doubted and (drift or not why or self._was_away(key, recent)):
-            self._doubt(key, recent, why or drift)
+        looked_at, is_drift = recent.equal if recent.equal >= STUCK_READINGS else FLICKER_OF, not why
+        if is_drift:
+            looked_at, why = DRIFT_OF, self._drifts(key, recent)
+        if model_is_doubted and (is_drift or self._was_away(key, recent)):
+            self._doubt(key, recent, why)
             return None
-        if not (why or drift):
+        if not why:
             return None
-        looked_at = recent.equal if why and recent.equal >= STUCK_READINGS else FLICKER_OF if why else DRIFT_OF
         wrong_s = list(recent.rows)[-looked_at:][0][0]
         from_s = read.time_s + self.wait_s
-        self.take_out(Failure(*key, read.time_s, from_s, why or drift, wrong_s, bool(drift)))
+        self.take_out(Failure(*key, read.time_s, from_s, why, wrong_s, is_drift))
         return self.failures[-1]
 
     def _was_away(self, key: tuple[str, str], recent: _Recent) -> bool:
@@ -173,11 +174,12 @@ class SensorChecks:
         drift = recent.mean_over(DRIFT_OF)
         if drift is None or abs(drift) < DRIFT_SIGMAS:
             return ""
-        neighbours = [k for k in self._recent if k[0] == key[0] and k not in {key, *self._failed}]
-        others = [self._recent[k].mean_over(DRIFT_OF) for k in neighbours]
+        others = [
+            r.mean_over(DRIFT_OF) for k, r in self._recent.items() if k[0] == key[0] and k not in {key, *self._failed}
+        ]
         agree = [m for m in others if m is not None and abs(m) < NEIGHBOUR_SIGMAS]
-        if len(agree) < NEIGHBOURS or len(agree) < len(others):
+        if len(agree) < max(NEIGHBOURS, len(others)):
             return ""
-        rows = list(recent.rows)[-DRIFT_OF:]
-        by_K = float(np.mean([y - expected for _, y, expected, *_ in rows]))
+        _, read_K, expected_K, *_ = np.transpose(list(recent.rows)[-DRIFT_OF:])
+        by_K = float(np.mean(read_K - expected_K))
         return f"{by_K:+.1f} K away from what it and its neighbours gave before, and they are not"

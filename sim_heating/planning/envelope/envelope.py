@@ -23,14 +23,7 @@ from sim_heating.base.files import json_text
 from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.progress import Progress
 from sim_heating.heating.ratio.uncertainty import Evidence
-from sim_heating.planning.envelope.boundary import (
-    AllowedInterval,
-    AxisScan,
-    GreatestValue,
-    allowed_interval,
-    greatest_value,
-    scan_axis,
-)
+from sim_heating.planning.envelope import boundary
 from sim_heating.planning.envelope.case import BaseEntry, Case
 from sim_heating.planning.envelope.margins import EvaluatedCase, Margin, MarginEvaluator
 from sim_heating.planning.envelope.spec import Envelope, EnvelopeBoundary, EnvelopeMap
@@ -222,8 +215,8 @@ class BoundarySegment:
     inside: float
     positions: tuple[float, ...]
     flights: tuple[EvaluatedCase, ...]
-    allowed: dict[str, AllowedInterval]
-    greatest: dict[str, GreatestValue | None]
+    allowed: dict[str, boundary.AllowedInterval]
+    greatest: dict[str, boundary.GreatestValue | None]
 
     def ends(self, which: str) -> tuple[float | None, float | None]:
         """Low and high end of the allowed interval, or 0 and the greatest value; None where nothing is allowed."""
@@ -306,15 +299,17 @@ def boundary_segment(
 ) -> BoundarySegment:
     """The segment of a boundary from its flights; with the sigma that remains after a manoeuvre where one is named."""
     xs = [getattr(f.case, declared.across) for f in flown]
-    scans = {which: scan_axis(xs, flown, z, manoeuvre) for which, z in sigma_offsets(sigmas).items()}
-    allowed = {which: allowed_interval(s, start) for which, s in scans.items()}
+    scans = {which: boundary.scan_axis(xs, flown, z, manoeuvre) for which, z in sigma_offsets(sigmas).items()}
+    allowed = {which: boundary.allowed_interval(s, start) for which, s in scans.items()}
     greatest = {which: _greatest_cross_range(s, xs, flown) for which, s in scans.items()} if declared.greatest else {}
     return BoundarySegment(member, position, start, tuple(xs), tuple(flown), allowed, greatest)
 
 
-def _greatest_cross_range(scan: AxisScan, xs: Sequence[float], flown: Sequence[EvaluatedCase]) -> GreatestValue | None:
+def _greatest_cross_range(
+    scan: boundary.AxisScan, xs: Sequence[float], flown: Sequence[EvaluatedCase]
+) -> boundary.GreatestValue | None:
     values = [abs(f.cross_range_km) if f.error is None else np.nan for f in flown]
-    return greatest_value(scan, xs, values)
+    return boundary.greatest_value(scan, xs, values)
 
 
 def _add_places(declared: EnvelopeBoundary, xs: Sequence[float], segment: BoundarySegment) -> list[float]:

@@ -158,8 +158,10 @@ def limiting_margins(s: BoundarySegment) -> list[Margin]:
         having_limit = [i for i, f in enumerate(s.flights) if limit in f.margins]
         if having_limit:
             nearest = min(having_limit, key=lambda i: abs(s.positions[i] - at))
-            margins.append(s.flights[nearest].margins[limit])
-    return [m for m in margins if m.sigma > 0.0]
+            margin = s.flights[nearest].margins[limit]
+            if margin.sigma > 0.0:
+                margins.append(margin)
+    return margins
 
 
 def boundary_after(boundary: FlownBoundary, manoeuvre: str, sigmas: float) -> FlownBoundary:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -109,16 +110,13 @@ def _draw_plane_map(path: Path, title: str, flown: FlownMap) -> None:
     least = [f.least for f in flown.flights]
     shape = (len(xs), len(ys))
     margin = np.array([np.nan if n is None or n[1].unit != "K" else n[1].margin for n in least]).reshape(shape)
-    limit = [
-        ("no flight" if f.error is not None else "" if n is None else n[0])
-        for n, f in zip(least, flown.flights, strict=True)
-    ]
     size = 2.0 * max(float(np.nanmax(np.abs(margin))), 1.0) if np.any(np.isfinite(margin)) else 1.0
     a = axes[0]
     shown = a.pcolormesh(xs, ys, margin.T, shading="nearest", cmap="RdBu", vmin=-size, vmax=size)
     figure.colorbar(shown, label="least margin of all temperatures, K")
-    for k, (i, j) in enumerate(np.ndindex(shape)):
-        text = limit[k].replace(" ", "\n", 1)
+    for (i, j), n, f in zip(np.ndindex(shape), least, flown.flights, strict=True):
+        limit = "no flight" if f.error is not None else "" if n is None else n[0]
+        text = limit.replace(" ", "\n", 1)
         value = "" if np.isnan(margin[i, j]) else f"\n{margin[i, j]:.0f} K"
         a.text(xs[i], ys[j], text + value, ha="center", va="center", fontsize=8)
     a.set_xlabel(LABELS[first])
@@ -143,25 +141,30 @@ def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBounda
         for row, member in enumerate(first.members()):
             a, segments = grid[row, column], boundary.segments_of(member)
             _draw_boundary(a, segments, colours)
-            heads = [] if columns == 1 else [textwrap.fill(label, HEAD_WIDTH)]
-            heads += [] if first.family is None else [f"{LABELS[first.family]} {member:g}"]
-            a.set_title("\n".join(heads), fontsize=8.5)
+            head = "" if columns == 1 else textwrap.fill(label, HEAD_WIDTH)
+            family = "" if first.family is None else f"{LABELS[first.family]} {member:g}"
+            a.set_title("\n".join(filter(None, (head, family))), fontsize=8.5)
             a.set_xlabel(LABELS[first.along])
             a.set_ylabel(LABELS[first.sought])
             _name_speeds(a, segments)
     if first.along == "alpha_station":
         grid[0, 0].invert_xaxis()
-    a = grid[0, 0]
-    handles = a.plot([], [], "-", color="0.3", linewidth=1.0, label="edge with the tables as declared; its limit:")
-    for n in names:
-        handles += a.plot([], [], "x" if n.startswith(NOTHING) else "o", color=colours[n], label=n)
-    for label, strength in (
-        (f"allowed with {band.what} {band.sigmas:g} sigma hotter", 0.35),
-        (f"allowed with {band.what} {band.sigmas:g} sigma cooler", 0.12),
-    ):
-        handles.append(a.fill_between([], [], [], color="tab:green", alpha=strength, label=label))
+    handles = _handles(grid[0, 0], {n: colours[n] for n in names}, band)
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)
     save_figure(figure, path, title, grid)
+
+
+def _handles(a: Axes, colours: Mapping[str, str], band: DrawnBand) -> list[Any]:
+    """Handles of the legend: an edge, the limits on it, and the bands."""
+    handles: list[Any] = a.plot(
+        [], [], "-", color="0.3", linewidth=1.0, label="edge with the tables as declared; its limit:"
+    )
+    for name, colour in colours.items():
+        handles += a.plot([], [], "x" if name.startswith(NOTHING) else "o", color=colour, label=name)
+    for label, strength in (("hotter", 0.35), ("cooler", 0.12)):
+        label = f"allowed with {band.what} {band.sigmas:g} sigma {label}"
+        handles.append(a.fill_between([], [], [], color="tab:green", alpha=strength, label=label))
+    return handles
 
 
 def _name_speeds(a: Axes, segments: Sequence[BoundarySegment]) -> None:
@@ -184,9 +187,8 @@ def _draw_boundary(a: Axes, segments: Sequence[BoundarySegment], colours: Mappin
         isolated = _isolated(np.isfinite(low))
         a.vlines(x[isolated], low[isolated], high[isolated], color="tab:green", alpha=strength, linewidth=5.0)
     low, high = _ends(segments, NOMINAL)
-    for y, side in ((low, 0), (high, 1)):
-        if side == 0 and segments[0].greatest:
-            continue
+    edges = ((low, 0), (high, 1))
+    for y, side in edges[1:] if segments[0].greatest else edges:
         a.plot(x, y, "-", color="0.3", linewidth=1.0)
         for s, value in zip(segments, y, strict=True):
             a.plot(s.position, value, "o", color=colours.get(edge_limits(s)[side], "k"), markersize=6)

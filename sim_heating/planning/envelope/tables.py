@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,7 @@ def csv_header(study: Study, title: str) -> dict[str, str]:
 def write_map(path: Path, study: Study, flown: FlownMap) -> None:
     """Write a map as CSV, one row for each place and control point; a place that could not be flown has empty cells."""
     rows: list[dict[str, Any]] = []
+    count = 4 if has_bands(study) else 3
     for position, flight in zip(flown.positions, flown.flights, strict=True):
         for limited in study.points:
             name = limited.point.name
@@ -75,10 +77,10 @@ def write_map(path: Path, study: Study, flown: FlownMap) -> None:
                 m = flight.margins.get(f"{name} {kind}")
                 numbers = (np.nan,) * 4 if m is None else (m.value, m.sigma, m.margin, m.at_band)
                 keys = (f"peak_{kind}_K", f"{kind}_sigma_K", f"{kind}_margin_K", f"{kind}_margin_at_band_K")
-                row |= dict(zip(keys, numbers if has_bands(study) else numbers[:3], strict=False))
+                row |= dict(zip(keys[:count], numbers, strict=False))
             row["remarks"] = flight.error or "; ".join(o for o in flight.outside if o.startswith(name))
             rows.append(row)
-    columns = {key: np.array([r[key] for r in rows]) for key in rows[0]}
+    columns = {key: np.array([*map(itemgetter(key), rows)]) for key in rows[0]}
     write_csv(path, columns, ".6g", csv_header(study, flown.declared.heading))
 
 
@@ -111,13 +113,13 @@ def flight_data(flight: EvaluatedCase, *, bands: bool) -> dict[str, Any]:
     if flight.error is not None:
         return {"error": flight.error}
     hot = {n: m for n, m in flight.margins.items() if m.unit == "K"}
+    quantities = {"peaks_K": "value", "sigma_K": "sigma", "margins_K": "margin", "margins_at_band_K": "at_band"}
+    if not bands:
+        del quantities["margins_at_band_K"]
     return {
         "cross_range_km": flight.cross_range_km,
         "duration_s": flight.duration_s,
-        "peaks_K": {n: m.value for n, m in hot.items()},
-        "sigma_K": {n: m.sigma for n, m in hot.items()},
-        "margins_K": {n: m.margin for n, m in hot.items()},
-        **({"margins_at_band_K": {n: m.at_band for n, m in hot.items()}} if bands else {}),
+        **{key: {n: getattr(m, quantity) for n, m in hot.items()} for key, quantity in quantities.items()},
         "violated": [n for n, m in flight.margins.items() if m.margin < 0.0],
         "outside_table": list(flight.outside),
     }
@@ -219,17 +221,21 @@ def _interval(segment: BoundarySegment, which: str) -> str:
 def flight_notes(flights: Sequence[EvaluatedCase]) -> tuple[str, ...]:
     """Notes on the flights: those that could not be flown, those without trim, and those that left a ratio table."""
     failed = [f"not flown: {f.error}" for f in flights if f.error is not None]
-    no_trim = [f for f in flights if any(m.kind == ELEVON for _, m in f.other_violations)]
-    trim = []
-    if no_trim:
-        first = no_trim[0].case.describe()
-        trim.append(f"no trim within the elevon's travel: {len(no_trim)} flights, first {first}; not allowed")
     by_end: dict[str, list[EvaluatedCase]] = {}
-    exits = [(name, f) for f in flights for name, m in f.other_violations if m.kind == TABLE]
-    for name, flight in exits:
-        by_end.setdefault(name, []).append(flight)
+    for flight in flights:
+        for name, m in flight.other_violations:
+            if m.kind == TABLE:
+                by_end.setdefault(name, []).append(flight)
     outside = [_excursion_note(name, excursions) for name, excursions in sorted(by_end.items())]
-    return tuple(dict.fromkeys([*failed, *trim, *outside]))
+    return tuple(dict.fromkeys([*failed, *_trim_notes(flights), *outside]))
+
+
+def _trim_notes(flights: Sequence[EvaluatedCase]) -> list[str]:
+    no_trim = [f for f in flights if any(m.kind == ELEVON for _, m in f.other_violations)]
+    if not no_trim:
+        return []
+    first = no_trim[0].case.describe()
+    return [f"no trim within the elevon's travel: {len(no_trim)} flights, first {first}; not allowed"]
 
 
 def _excursion_note(name: str, flights: Sequence[EvaluatedCase]) -> str:

@@ -395,13 +395,13 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
     raises   : InputError where CasADi is not installed; RunError where no flight is found that keeps the limits
     """
     search = EntrySearch(study)
-    points = study.points
+    points, has_wall = study.points, search.wall is not None
     steering = _Steering(
         np.full(len(points), np.inf),
         np.full(len(points), np.inf),
         search.with_bondline_limit,
-        search.wall is not None,
-        search.problem.model.size1_out(1) - (0 if search.wall is None else len(points)),
+        has_wall,
+        search.problem.model.size1_out(1) - has_wall * len(points),
         [],
     )
     motion, rounds = search.guess(), list[OptimisationRound]()

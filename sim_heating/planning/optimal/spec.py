@@ -137,17 +137,15 @@ def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "st
         if point.name in points:
             problems.append(f"{where}, [limit]: `{point.name}` is repeated; name it once")
         points[point.name] = limit.limited(point)
-    problems += [
-        f"{where}, [end]: `{key}`: {getattr(declared.end, key):g} must be below that of [initial], "
-        f"{getattr(declared.initial, key):g}"
-        for key in ("altitude_m", "velocity_m_s")
-        if getattr(declared.initial, key) <= getattr(declared.end, key)
-    ]
+    for key in ("altitude_m", "velocity_m_s"):
+        first, last = getattr(declared.initial, key), getattr(declared.end, key)
+        if first <= last:
+            problems.append(f"{where}, [end]: `{key}`: {last:g} must be below that of [initial], {first:g}")
     problems += _control_problems(declared, vehicle, where)
     raise_problems(problems)
-    vehicles = vehicle.declared.flight_limits or FlightLimits()
-    own = {key: getattr(vehicles, key) for key in FlightLimits.model_fields}
-    flight_limits = FlightLimits(**(own | declared.flight_limits.model_dump(exclude_none=True)))
+    of_vehicle = vehicle.declared.flight_limits or FlightLimits()
+    limits = of_vehicle.model_dump(include={*FlightLimits.model_fields})
+    flight_limits = FlightLimits(**(limits | declared.flight_limits.model_dump(exclude_none=True)))
     return OptimalStudy(declared, vehicle, tuple(points.values()), flight_limits)
 
 

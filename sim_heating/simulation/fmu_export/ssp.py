@@ -25,25 +25,11 @@ from xml.etree import ElementTree as ET
 from sim_heating.base.files.package import package_version
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.simulation.fmu_export import export
 from sim_heating.simulation.fmu_export.entry import ENTRY_UNITS, entry_image
-from sim_heating.simulation.fmu_export.export import (
-    fmu_bytes,
-    heating_model,
-    native_platform,
-    targets_of,
-    write_archive,
-)
 from sim_heating.simulation.fmu_export.heating import heating_units
+from sim_heating.simulation.fmu_export.parts import description
 from sim_heating.simulation.fmu_export.parts.archive import archive_bytes, require_replaceable
-from sim_heating.simulation.fmu_export.parts.description import (
-    BASE_UNITS,
-    base_unit,
-    generation_time,
-    number_text,
-    start_text,
-    variables_of,
-    xml_bytes,
-)
 from sim_heating.simulation.fmu_export.parts.image import Image, Kind, Role, Variable
 from sim_heating.simulation.fmu_export.parts.library import TIMING, TIMING_INTEGER
 from sim_heating.simulation.fmu_export.traceability import Traceability
@@ -111,11 +97,11 @@ def export_ssp(
     8
     """
     require_replaceable(out)
-    platforms = platforms or [native_platform()]
-    targets = targets_of(platforms, FMI)
+    platforms = platforms or [export.native_platform()]
+    targets = export.targets_of(platforms, FMI)
     vehicle = load_vehicle(vehicle)
     trajectory = entry_image(spec, vehicle.directory, title)
-    model = heating_model(vehicle, control_points, targets, input_timing=input_timing)
+    model = export.heating_model(vehicle, control_points, targets, input_timing=input_timing)
     _state_timing(model.image)
     flown = entry3dof.fly(spec, vehicle)
     system = System(trajectory, model.image, _connections(trajectory, model.image), float(flown.conditions.time_s[-1]))
@@ -130,11 +116,11 @@ def export_ssp(
         (HEATING, model.image, heating_units(model.effects), lambda: about().files()),
     )
     for name, image, units, extra_files in parts:
-        files[f"resources/{name}.fmu"] = fmu_bytes(image, units, FMI, platforms, progress, extra_files)
+        files[f"resources/{name}.fmu"] = export.fmu_bytes(image, units, FMI, platforms, progress, extra_files)
         files[f"resources/{name}.ssv"] = _parameter_values(image)
     heating = files[f"resources/{HEATING}.fmu"]
     files[f"resources/{HEATING}.srmd"] = about().of_file(f"{HEATING}.fmu", heating)
-    write_archive(Path(out), archive_bytes(files))
+    export.write_archive(Path(out), archive_bytes(files))
     return system
 
 
@@ -166,7 +152,7 @@ def _root(prefix: str, element: str, name: str, text: str) -> ET.Element:
             "name": name,
             "description": text,
             "generationTool": f"sim-heating {package_version()}",
-            "generationDateAndTime": generation_time(),
+            "generationDateAndTime": description.generation_time(),
         },
     )
 
@@ -190,20 +176,22 @@ def _structure(system: System, title: str) -> bytes:
             endConnector=name,
         )
     _units(root, "ssd", [*_connectors(system.trajectory), *_connectors(system.heating)])
-    experiment = _add(root, "ssd", "DefaultExperiment", startTime="0.0", stopTime=number_text(system.stop_s))
+    experiment = _add(
+        root, "ssd", "DefaultExperiment", startTime="0.0", stopTime=description.number_text(system.stop_s)
+    )
     _recommend_step(experiment, system.trajectory.step_s)
-    return xml_bytes(root)
+    return description.xml_bytes(root)
 
 
 def _recommend_step(experiment: ET.Element, step_s: float) -> None:
     """State a communication step [s] as hosts of the Open Simulation Platform read it; SSP 1.0 has no place for it."""
     annotations = _add(experiment, "ssd", "Annotations")
     algorithm = _add(_add(annotations, "ssc", "Annotation", type="com.opensimulationplatform"), "osp", "Algorithm")
-    _add(algorithm, "osp", "FixedStepAlgorithm", baseStepSize=number_text(step_s))
+    _add(algorithm, "osp", "FixedStepAlgorithm", baseStepSize=description.number_text(step_s))
 
 
 def _connectors(image: Image) -> list[Variable]:
-    return [v for _, v in variables_of(image, FMI) if v.role in CONNECTED]
+    return [v for _, v in description.variables_of(image, FMI) if v.role in CONNECTED]
 
 
 def _component(parent: ET.Element, name: str, image: Image) -> None:
@@ -226,30 +214,32 @@ def _component(parent: ET.Element, name: str, image: Image) -> None:
 
 
 def _unit_of(v: Variable) -> dict[str, str]:
-    return {"unit": v.unit} if v.unit in BASE_UNITS else {}
+    return {"unit": v.unit} if v.unit in description.BASE_UNITS else {}
 
 
 def _units(root: ET.Element, prefix: str, variables: Iterable[Variable]) -> None:
     """Declare the units of variables, with their exponents of SI base units."""
     units = _add(root, prefix, "Units")
     # A unit of a user-defined effect may have no known exponents, which SSP requires: it is left out.
-    for unit in sorted({v.unit for v in variables} & BASE_UNITS.keys()):
-        _add(_add(units, "ssc", "Unit", name=unit), "ssc", "BaseUnit", **base_unit(unit))
+    for unit in sorted({v.unit for v in variables} & description.BASE_UNITS.keys()):
+        _add(_add(units, "ssc", "Unit", name=unit), "ssc", "BaseUnit", **description.base_unit(unit))
 
 
 def _parameter_values(image: Image) -> bytes:
     """A .ssv: start values of the scalar parameters of an FMU that are numbers or integers."""
     root = _root("ssv", "ParameterSet", PARAMETER_SET, f"Start values: {image.title}")
     parent = _add(root, "ssv", "Parameters")
-    listed = [v for _, v in variables_of(image, FMI) if v.role in (Role.TUNABLE, Role.FIXED) and _is_scalar(v)]
+    listed = [
+        v for _, v in description.variables_of(image, FMI) if v.role in (Role.TUNABLE, Role.FIXED) and _is_scalar(v)
+    ]
     for v in listed:
         parameter = _add(parent, "ssv", "Parameter", name=v.name, description=v.text)
         if v.kind is Kind.INTEGER:
-            _add(parameter, "ssv", "Integer", value=start_text(image, v))
+            _add(parameter, "ssv", "Integer", value=description.start_text(image, v))
         else:
-            _add(parameter, "ssv", "Real", value=start_text(image, v), **_unit_of(v))
+            _add(parameter, "ssv", "Real", value=description.start_text(image, v), **_unit_of(v))
     _units(root, "ssv", listed)
-    return xml_bytes(root)
+    return description.xml_bytes(root)
 
 
 def _is_scalar(v: Variable) -> bool:

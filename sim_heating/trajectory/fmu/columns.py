@@ -26,7 +26,7 @@ import numpy as np
 
 from sim_heating.base.conditions import EXTRAS, FRAME
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import suggestion
+from sim_heating.base.files import raise_problems, suggestion
 from sim_heating.base.files.units import Conversion
 from sim_heating.heating.atmosphere import standard_sound_kernel
 from sim_heating.trajectory import point_mass as pm
@@ -170,8 +170,7 @@ class ColumnsOfFmu:
             if {"mach", *names} <= set(spec.fmu.columns):
                 other = ", ".join(sorted(names))
                 problems.append(f"[trajectory.fmu.columns]: `mach` and {other} both determine the speed; remove one")
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
         mapped = {r.column for r in readings} | set(self._constants)
         return readings + self._by_usual_name(model, mapped, {r.variable for r in readings})
 
@@ -182,7 +181,7 @@ class ColumnsOfFmu:
         """
         # A column that follows from mapped ones is not looked for by name: two sources of one quantity may disagree.
         mapped = mapped.union(*(derived for needed, derived in DERIVED_FROM if needed <= mapped))
-        outputs = {v.name for v in model.description.modelVariables if v.causality == "output" and v.name not in read}
+        outputs = {v.name for v in model.description.modelVariables if v.causality == "output"} - read
         by_letters = _outputs_by_letters(outputs)
         readings = []
         for column in COLUMNS:

@@ -22,7 +22,7 @@ from fmpy.simulation import settable_in_instantiated
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME, Conditions
 from sim_heating.base.errors import InputError, RunError, error_context
-from sim_heating.base.files import suggestion
+from sim_heating.base.files import raise_problems, suggestion
 from sim_heating.base.limits import frame_problem
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, standard_sound_kernel
@@ -254,8 +254,7 @@ class InputsOfFmu:
             except InputError as error:
                 problems += error.problems
         problems += _pilot_problems(model, spec) + _uncommanded_manoeuvres(model, spec)
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
         self.pilot = Pilot(spec, vehicle_dir, available) if spec.fmu.commands else None
 
     def values(self, frame: Frame, step_s: float) -> list[float]:

@@ -19,7 +19,7 @@ from fmpy.simulation import settable_in_initialization_mode, settable_in_instant
 
 from sim_heating.base.collection import without_collection
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import display_path, repeated_name, suggestion
+from sim_heating.base.files import display_path, raise_problems, repeated_name, suggestion
 from sim_heating.base.files.units import NO_DIMENSION, Conversion, Scale, conversion, known_unit
 from sim_heating.trajectory.fmu.archive import DESCRIPTION, read_archive
 from sim_heating.trajectory.fmu.units import unit_of_fmu
@@ -162,8 +162,7 @@ class FmuModel:
                 values[variable.name] = start
             except InputError as error:
                 problems += error.problems
-        if problems:
-            raise InputError(*problems)
+        raise_problems(problems)
         return {name: values[name] for name in self.variables if name in values}
 
     def _start_value(self, name: str, value: Value | FmuValue, where: str) -> tuple[ModelVariable, Value]:

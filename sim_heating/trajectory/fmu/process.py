@@ -21,6 +21,7 @@ Source: Modelica Association (2022), "Functional Mock-up Interface Specification
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import sys
@@ -248,15 +249,14 @@ class ModelExchange(Instance):
         if self._restart:  # inputs jump at a communication point
             self.solver.reset(time_s)
         while time_s < end_s - SAME_TIME_S:
-            target_s = end_s if self.next_event_s is None else min(end_s, self.next_event_s)
-            event, time_s = self._solve(time_s, target_s)
+            next_event_s = math.inf if self.next_event_s is None else self.next_event_s
+            event, time_s = self._solve(time_s, min(end_s, next_event_s))
             self.fmu.setTime(time_s)
             ended = False
             if self.model["step_events"]:
                 step_event, ended = self.fmu.completedIntegratorStep()
                 event = event or step_event
-            timed = self.next_event_s is not None and time_s >= self.next_event_s - SAME_TIME_S
-            if not ended and (event or timed):
+            if not ended and (event or time_s >= next_event_s - SAME_TIME_S):
                 self.fmu.enterEventMode()
                 ended = self._update()
                 self.solver.reset(time_s)

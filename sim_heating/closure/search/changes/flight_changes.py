@@ -12,15 +12,7 @@ from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.clues.flight_consistency import Discrepancy, contradictions_of_motion, misfit_of_motion
 from sim_heating.closure.clues.record_checks import declared_readings
-from sim_heating.closure.prior.changed_flight import (
-    heated_part,
-    shift_conditions,
-    shift_trajectory,
-    with_alpha,
-    with_density,
-    with_sharper_alpha,
-    with_velocity,
-)
+from sim_heating.closure.prior import changed_flight
 from sim_heating.closure.search.trials.change import RecordChange, Span, moved_ends, off_by
 from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.inputs.record import Record
@@ -61,6 +53,10 @@ def judged_by_motion(record: Record, fit: TrialFit) -> tuple[float, list[str]]:
     return misfit_of_motion(changed) - misfit_of_motion(stated), lines
 
 
+def _at_least(length: float, spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    return [span for span in spans if span[1] - span[0] >= length]
+
+
 def flight_changes(
     record: Record,
     suspected: Sequence[Discrepancy] = (),
@@ -83,13 +79,12 @@ def flight_changes(
     flown = record.conditions
     if flown["velocity_m_s"].max() < min_flight_m_s:
         return []
-    heated, spans = heated_part(flown), suspected[:max_suspected]
+    heated, spans = changed_flight.heated_part(flown), suspected[:max_suspected]
     z, t = flown["altitude_m"][heated], flown.time_s[heated]
     z_span, t_span = (float(z.min()), float(z.max())), (float(t.min()), float(t.max()))
-    layers = [(d.lowest_m, d.highest_m) for d in spans] + _parts(z_span, layers_tried)
-    layers = [span for span in layers if span[1] - span[0] >= THINNEST_M]
+    layers = _at_least(THINNEST_M, [(d.lowest_m, d.highest_m) for d in spans] + _parts(z_span, layers_tried))
     times = [(d.begin_s, d.end_s) for d in spans] + _across(spans) + _parts(t_span, drifts_tried)
-    times = [span for span in times if span[1] - span[0] >= BRIEFEST_S]
+    times = _at_least(BRIEFEST_S, times)
     likeliest_s = likeliest_shift_s(record)
     starts = SHIFT_STARTS if likeliest_s is None else tuple(dict.fromkeys((*SHIFT_STARTS, likeliest_s)))
     return [
@@ -170,7 +165,9 @@ def _shape_error_K(
 def time_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
     """The flight was earlier or later than the clock of its conditions states; starts : as of a change [s]."""
     text, unknown, describe = "time of the flight conditions", UNKNOWNS["shift"], _shifted("flight conditions")
-    return RecordChange("flight", text, unknown, shift_conditions, describe, tuple(starts), effect="time-skew")
+    return RecordChange(
+        "flight", text, unknown, changed_flight.shift_conditions, describe, tuple(starts), effect="time-skew"
+    )
 
 
 def trajectory_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
@@ -180,20 +177,25 @@ def trajectory_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
     """
     text, describe = "velocity, altitude and air", _shifted("velocity, altitude and air", " against the angles")
     return RecordChange(
-        "flight", f"time of {text} against the angles", UNKNOWNS["shift"], shift_trajectory, describe, tuple(starts)
+        "flight",
+        f"time of {text} against the angles",
+        UNKNOWNS["shift"],
+        changed_flight.shift_trajectory,
+        describe,
+        tuple(starts),
     )
 
 
 def density_scale() -> RecordChange:
     """The density was another by a factor, along the whole flight."""
     text = "density of the flight conditions"
-    return RecordChange("flight", text, UNKNOWNS["density"], with_density, _scaled(text))
+    return RecordChange("flight", text, UNKNOWNS["density"], changed_flight.with_density, _scaled(text))
 
 
 def velocity_scale() -> RecordChange:
     """The velocity was another by a factor, along the whole flight."""
     text = "velocity of the flight conditions"
-    return RecordChange("flight", text, UNKNOWNS["velocity"], with_velocity, _scaled(text))
+    return RecordChange("flight", text, UNKNOWNS["velocity"], changed_flight.with_velocity, _scaled(text))
 
 
 def density_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, edge_m: float = 1.0) -> RecordChange:
@@ -250,7 +252,11 @@ def _varied(
     def apply(record: Record, factor: float) -> Record:
         x = record.conditions["altitude_m"] if of_density else record.conditions.time_s
         factors = 1.0 + (factor - 1.0) * np.interp(x, *shape)
-        return with_density(record, factors) if of_density else with_velocity(record, factors)
+        return (
+            changed_flight.with_density(record, factors)
+            if of_density
+            else changed_flight.with_velocity(record, factors)
+        )
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
         return tuple(form(*moved, limits) for moved in moved_ends(span, fraction, shortest, limits))
@@ -265,7 +271,7 @@ def alpha_bias() -> RecordChange:
         return f"angle of attack {abs(value):.2g} deg too {'small' if value > 0.0 else 'large'}"
 
     text = "angle of attack of the flight conditions"
-    return RecordChange("flight", text, UNKNOWNS["angle of attack"], with_alpha, describe)
+    return RecordChange("flight", text, UNKNOWNS["angle of attack"], changed_flight.with_alpha, describe)
 
 
 def alpha_smoothed(starts_s: tuple[float, float] = (5.0, 12.0)) -> RecordChange:
@@ -278,7 +284,7 @@ def alpha_smoothed(starts_s: tuple[float, float] = (5.0, 12.0)) -> RecordChange:
         return f"angle of attack stated as a mean over {width_s:.2g} s (standard deviation)"
 
     text = "smoothing of the angle of attack"
-    return RecordChange("flight", text, UNKNOWNS["smoothing"], with_sharper_alpha, describe, starts_s)
+    return RecordChange("flight", text, UNKNOWNS["smoothing"], changed_flight.with_sharper_alpha, describe, starts_s)
 
 
 def _shifted(quantity: str, suffix: str = "") -> Callable[[float], str]:

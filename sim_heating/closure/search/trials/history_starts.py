@@ -102,9 +102,8 @@ def history_starts(base: TrialFit, tried: Sequence[Candidate]) -> list[Candidate
     declared = {used.effect.name for used in base.record_fit.record.declared.heating.effects}
     histories: dict[str, HeatingHistory | None] = {}
     forms: dict[tuple[str, Form], list[Candidate]] = {}
-    for c in tried:
-        if _is_suitable(c):
-            forms.setdefault((c.name, c.form), []).append(c)
+    for c in filter(_is_suitable, tried):
+        forms.setdefault((c.name, c.form), []).append(c)
     suitable: list[tuple[HeatingHistory, list[Candidate]]] = []
     with one_thread():
         for (name, _), of_form in forms.items():

@@ -69,9 +69,8 @@ def _predicted_gains(
     gains = []
     for candidate, problem, first, done in zip(candidates, problems, firsts, marched, strict=True):
         # a parameter of the base that a candidate frees of its prior is the candidate's own
-        inner = [
-            k for k, n in enumerate(record_fit.names) if n not in record_fit.sensor_names and n not in candidate.active
-        ]
+        outer = {*record_fit.sensor_names, *candidate.active}
+        inner = [k for k, n in enumerate(record_fit.names) if n not in outer]
         of_base = sensitivity[:, inner], base.fit.prior_information[inner], to_mean[inner]
         begin, reached = _predicted_likelihoods(problem, first, of_base, scored) if done else (-np.inf, -np.inf)
         gains.append(min(reached - base.fit.log_likelihood, limit + min(begin - base.fit.log_likelihood, 0.0)))

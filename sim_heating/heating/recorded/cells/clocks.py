@@ -129,7 +129,7 @@ def clock_of(
 
 def _are_dotted(cells: pd.Series) -> bool:
     """Whether cells are times of day with points for colons: three numbers that are dates in no order."""
-    matches = [DOTTED.fullmatch(cell) for cell in cells]
+    matches = list(map(DOTTED.fullmatch, cells))
     if not all(match and match[3] for match in matches):
         return False
     first, second = (max(int(match[k]) for match in matches if match) for k in (1, 2))
@@ -213,14 +213,14 @@ def _time_of_day(cells: _Cells, unit: str | None) -> tuple[FloatArray, bool, str
         return np.zeros(len(cells.rows)), False, ""
     _require_one_layout(cells)
     time, layout = _fields(cells, unit)
-    if np.any(time.minutes > 59.0) and layout != MINUTES:
-        raise cells.problem(
-            "is no time of day; mend the cell, or state --time-unit mm:ss", int(np.argmax(time.minutes > 59.0))
-        )
-    if np.any(time.seconds >= 61.0):
-        raise cells.problem("is no time of day; mend the cell", int(np.argmax(time.seconds >= 61.0)))
-    if np.any(leaps := (time.hours == 23.0) & (time.minutes == 59.0) & (time.seconds >= 60.0)):
-        raise cells.problem("may be a leap second or midnight; mend the cell, or give --period", int(np.argmax(leaps)))
+    leaps = (time.hours == 23.0) & (time.minutes == 59.0) & (time.seconds >= 60.0)
+    for wrong, rule in (
+        ((time.minutes > 59.0) & (layout != MINUTES), "is no time of day; mend the cell, or state --time-unit mm:ss"),
+        (time.seconds >= 61.0, "is no time of day; mend the cell"),
+        (leaps, "may be a leap second or midnight; mend the cell, or give --period"),
+    ):
+        if np.any(wrong):
+            raise cells.problem(rule, int(np.argmax(wrong)))
     if any(cells.strings("half")):
         time, layout = time._replace(hours=_hours_of_halves(cells, time.hours)), f"{layout}, AM and PM"
     seconds = time.days * DAY_S + 3600.0 * time.hours + 60.0 * time.minutes + time.seconds + time.fraction
@@ -248,7 +248,7 @@ def _fields(cells: _Cells, unit: str | None) -> tuple[_Fields, str]:
 
 def _of_four_numbers(cells: _Cells, unit: str | None, time: _Fields) -> tuple[_Fields, str]:
     """Times of four numbers, which end in milliseconds or begin with days."""
-    last, digits = cells.numbers("x"), {len(text) for text in cells.strings("x")}
+    last, digits = cells.numbers("x"), {*map(len, cells.strings("x"))}
     is_ms = unit == "hh:mm:ss:ms" or (unit != "dd:hh:mm:ss" and (3 in digits or last.max() > 59.0))
     if is_ms:
         return time._replace(fraction=last / 1000.0), "clock hh:mm:ss:ms"

@@ -52,7 +52,7 @@ def _length(value: Any) -> int:
 
 def _rows_of_columns(columns: dict[str, Any]) -> list[tuple[int, dict[str, Any]]]:
     """Rows of an object with a list for each column, or with one list of objects; else the object itself."""
-    listed = [v for v in columns.values() if isinstance(v, list) and v and all(isinstance(row, dict) for row in v)]
+    listed = [v for v in columns.values() if isinstance(v, list) and {*map(type, v)} == {dict}]
     if len(listed) == 1:
         return list(enumerate(listed[0], 1))
     if {isinstance(v, list) for v in columns.values()} != {True} or len({len(v) for v in columns.values()}) > 1:

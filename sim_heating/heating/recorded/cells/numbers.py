@@ -141,7 +141,7 @@ def _sign_of(cell: str) -> tuple[bool, str] | None:
     if not re.fullmatch(rf"[+-]?[\d.,]*\d[.,]?{EXPONENT}|[+-]?[.,]\d+{EXPONENT}", text):
         return None
     text = re.sub(r"[eE].*", "", text)
-    signs = [c for c in text if c in ".,"]
+    signs = re.findall(r"[.,]", text)
     if not signs:
         return None
     last = signs[-1]

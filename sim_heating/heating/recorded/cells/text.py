@@ -223,7 +223,7 @@ def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]]
 
 def _labelled_values(texts: Sequence[str]) -> tuple[list[str], list[list[str]]] | None:
     """Names and the values of each line, where all lines are as `Temp: 20.1, Hum: 40` with the same names."""
-    lines = [LABELLED.findall(text) for text in texts]
+    lines = list(map(LABELLED.findall, texts))
     if any(LABELLED.sub("", text).strip(" ,;\t") for text in texts):
         return None  # a label that is none, as of `T 1: 20 T 2: 21`
     if not all(lines) or len({tuple(n for n, _ in pairs) for pairs in lines}) != 1:
@@ -238,7 +238,7 @@ def split_lines(lines: Sequence[tuple[int, str]], sign: str) -> list[Row]:
     """
     texts = [line for _, line in lines]
     if sign == " ":
-        rows = [tuple(line.split()) for line in texts]
+        rows = list(map(tuple, map(str.split, texts)))
     elif sign == WIDE:
         rows = [tuple(re.split(r" {2,}|\t+", line.strip())) for line in texts]
     else:
@@ -422,11 +422,15 @@ def _first_row(split: Sequence[Row], width: int, recorder: str) -> int | None:
     """Index of the first row of data: of the usual width, and so is the next one."""
     ahead = {"Campbell TOA5": 4, "Campbell TOACI1": 2}.get(recorder, 0) or _rows_to_the_time(split[:HEAD_LINES], width)
     for k in range(ahead, len(split)):
-        if len(split[k][1]) == width and not _is_comment(split[k][1]) and _is_data(split[k][1]):
+        if _is_row(split[k][1], width):
             after = split[k + 1][1] if k + 1 < len(split) else split[k][1]
-            if _is_comment(after) or (len(after) == width and _is_data(after)) or not _names_below(split, k):
+            if _is_comment(after) or _is_row(after, width) or not _names_below(split, k):
                 return k
     return None
+
+
+def _is_row(cells: Sequence[str], width: int) -> bool:
+    return len(cells) == width and not _is_comment(cells) and _is_data(cells)
 
 
 def _rows_to_the_time(split: Sequence[Row], width: int) -> int:
@@ -459,19 +463,17 @@ def _last_row(split: Sequence[Row], first: int, width: int) -> int:
     """Index of the last row of data: behind it are lines of words, or of other cells."""
     heads = [split[k][1][0] for k in range(first, min(first + 50, len(split)))]
     named = sum(re.match(r"[A-Za-z]", h) is not None for h in heads) > 0.5 * len(heads)
-    last = len(split) - 1
-    while last > first:
+    for last in range(len(split) - 1, first, -1):
         cells = split[last][1]
-        lead = next((c for c in cells if c), "")
+        lead = next(filter(None, cells), "")
         if (
             len(cells) >= width
             and _is_data(cells)
             and (named or not re.match(r"[A-Za-z]", lead))
             and not _is_comment(cells)
         ):
-            break
-        last -= 1
-    return last
+            return last
+    return first
 
 
 def _named_cell(split: Sequence[Row], first: int, column: int) -> bool:

@@ -8,20 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sim_heating.simulation.fmu_export.parts import library
 from sim_heating.simulation.fmu_export.parts.image import Image, Kind, Role, Variable
-from sim_heating.simulation.fmu_export.parts.library import (
-    CHANGED,
-    INPUT_SLOPES,
-    INPUTS,
-    INPUTS_NEXT,
-    INPUTS_NOW,
-    LONGEST,
-    LONGEST_COMMUNICATION_S,
-    N_INPUTS,
-    R_HEAD,
-    TIMING,
-    TIMING_INTEGER,
-)
 
 
 class Input(NamedTuple):
@@ -47,11 +35,11 @@ class ImagePacker:
     def __init__(self, image: Image, n_integers: int) -> None:
         self.image = image
         self.head: dict[int, int] = {}
-        first = np.zeros(R_HEAD)
-        first[LONGEST] = LONGEST_COMMUNICATION_S
+        first = np.zeros(library.R_HEAD)
+        first[library.LONGEST] = library.LONGEST_COMMUNICATION_S
         image.keep_numbers(first)
         image.add_integers(np.zeros(n_integers))
-        image.kept_integers += [(offset, 1) for offset in (CHANGED, TIMING, TIMING_INTEGER)]
+        image.kept_integers += [(offset, 1) for offset in (library.CHANGED, library.TIMING, library.TIMING_INTEGER)]
         self.add_number("time", Role.INDEPENDENT, 0, "time", "s")
 
     def add_number(
@@ -106,6 +94,6 @@ class ImagePacker:
         offset = self.image.keep_numbers(starts)
         for i, (name, unit, nominal, text, lower, upper) in enumerate(inputs):
             self.add_number(name, Role.INPUT, offset + i, text, unit, lower, upper, nominal)
-        self.head |= {INPUTS: offset, N_INPUTS: len(inputs)}
-        self.head[INPUT_SLOPES] = self.image.keep_numbers(np.zeros(len(inputs)))
-        self.head |= {copy: self.image.keep_numbers(starts) for copy in (INPUTS_NOW, INPUTS_NEXT)}
+        self.head |= {library.INPUTS: offset, library.N_INPUTS: len(inputs)}
+        self.head[library.INPUT_SLOPES] = self.image.keep_numbers(np.zeros(len(inputs)))
+        self.head |= {copy: self.image.keep_numbers(starts) for copy in (library.INPUTS_NOW, library.INPUTS_NEXT)}
