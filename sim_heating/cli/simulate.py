@@ -148,20 +148,10 @@ def _print_run_warnings(contents: dict[str, Any]) -> None:
 
 def _print_range_warnings(points: dict[str, Any]) -> None:
     """Print conditions outside tables and negative heating ratios, by control point or record."""
-    outside: dict[str, list[str]] = {}
-    for name, point in points.items():
-        for o in point["outside_table"]:
-            outside.setdefault(o["variable"], []).append(name)
-        if point["negative_ratio_s"] > 0.0:
-            print_warning(f"{name}: the heating ratio was negative for {point['negative_ratio_s']:.0f} s")
-    for variable, names in outside.items():
-        every = [o for n in names for o in points[n]["outside_table"] if o["variable"] == variable]
-        longest, farthest = max(o["duration_s"] for o in every), max(o["farthest"] for o in every)
-        unlisted = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
-        print_warning(
-            f"{variable} lay outside the ratio tables of {', '.join(names[:SHOWN_NAMES])}{unlisted}, up to "
-            f"{longest:.0f} s and {farthest:.3g} beyond; the edge value was held (details in summary.json)"
-        )
+    from sim_heating.march.history import range_lines
+
+    for line in range_lines(points, SHOWN_NAMES):
+        print_warning(line)
 
 
 @click.command()
