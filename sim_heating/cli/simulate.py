@@ -170,20 +170,10 @@ def _print_prediction_warnings(summaries: dict[str, Any]) -> None:
 
 def _print_range_warnings(points: dict[str, Any]) -> None:
     """Print conditions outside tables and negative heating ratios, by control point or record."""
-    outside: dict[str, list[tuple[str, float, float]]] = {}
-    for name, point in points.items():
-        for o in point["outside_table"]:
-            outside.setdefault(o["variable"], []).append((name, o["duration_s"], o["farthest"]))
-        if point["negative_ratio_s"] > 0.0:
-            print_warning(f"{name}: the heating ratio was negative for {point['negative_ratio_s']:.0f} s")
-    for variable, excursions in outside.items():
-        names, durations_s, distances = zip(*excursions, strict=True)
-        longest, farthest = max(durations_s), max(distances)
-        unlisted = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
-        print_warning(
-            f"{variable} lay outside the ratio tables of {', '.join(names[:SHOWN_NAMES])}{unlisted}, up to "
-            f"{longest:.0f} s and {farthest:.3g} beyond; the edge value was held (details in summary.json)"
-        )
+    from sim_heating.march.history import range_lines
+
+    for line in range_lines(points, SHOWN_NAMES):
+        print_warning(line)
 
 
 @click.command()

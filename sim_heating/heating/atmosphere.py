@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.package import read_package_table
-from sim_heating.base.kernels.jit import interpreted, njit, njit_of
+from sim_heating.base.kernels.jit import for_values, interpreted, njit, njit_of
 
 # The constants are those of 1976, not today's: with them the printed tables come out to their last digit.
 G0_M_S2 = 9.80665
@@ -121,7 +121,7 @@ def _layer_bases(base: FloatArray, gradient: FloatArray) -> tuple[FloatArray, Fl
     for i in range(1, len(base)):
         height = base[i] - base[i - 1]
         T[i] = T[i - 1] + gradient[i - 1] * height
-        p[i] = _layer_pressure(p[i - 1], T[i - 1], gradient[i - 1], height)
+        p[i] = interpreted(_layer_pressure)(p[i - 1], T[i - 1], gradient[i - 1], height)
     return T, p
 
 
@@ -188,7 +188,7 @@ def _upper_table() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Floa
     table = read_package_table("heating/data/us76_above_86km.csv")
     z, p, rho = table["altitude_m"], table["p_Pa"], table["rho_kg_m3"]
     # The lowest row is the layer equations' own value, unrounded: no jump at 86 km.
-    _, p[0], rho[0] = lower_atmosphere(UPPER_BASE_M)
+    _, p[0], rho[0] = interpreted(lower_atmosphere)(UPPER_BASE_M)
     return z, np.log(p), _node_slopes(z, np.log(p)), np.log(rho), _node_slopes(z, np.log(rho))
 
 
@@ -323,7 +323,7 @@ def us76(altitude_m: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
     z = _checked_altitude(altitude_m)
     T, p, rho = np.empty(z.size), np.empty(z.size), np.empty(z.size)
     # The scalar kernel in a loop, not array expressions: a frame of a host and a whole flight get equal bits.
-    _us76_loop(z.ravel(), T, p, rho)
+    for_values(_us76_loop, z.size)(z.ravel(), T, p, rho)
     return T.reshape(z.shape), p.reshape(z.shape), rho.reshape(z.shape)
 
 
@@ -384,5 +384,5 @@ def free_stream(
     # Copies: to numba a read-only view is another type, for which the loop would be compiled a second time.
     z, V, rho = (np.array(a) for a in np.broadcast_arrays(*checked))
     out = np.empty((4, z.size))
-    _free_stream_loop(z, V, rho, float(reference_length_m), out)
+    for_values(_free_stream_loop, z.size)(z, V, rho, float(reference_length_m), out)
     return {"T_inf_K": out[0], "p_inf_Pa": out[1], "mach": out[2], "log10_re": out[3]}

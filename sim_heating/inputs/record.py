@@ -47,6 +47,7 @@ from sim_heating.base.files import (
     write_text_atomic,
 )
 from sim_heating.base.files.roots import portable_name
+from sim_heating.base.kernels.jit import interpreted
 from sim_heating.base.limits import HOTTEST_K, USUAL
 from sim_heating.base.parameters import PRESSURE_FACTOR
 from sim_heating.heating.atmosphere import R_AIR, us76
@@ -1146,7 +1147,7 @@ def _recovery_problems(table: CsvTable, heating: Heating) -> list[str]:
     if heating.reference != "columns" or heating.recovery_of_point.kind == "total":
         return []
     flown = Conditions(table.columns)
-    total = np.vectorize(total_enthalpy_kernel, otypes=[float])(flown["velocity_m_s"], flown["T_inf_K"])
+    total = interpreted(total_enthalpy_kernel)(flown["velocity_m_s"], flown["T_inf_K"])
     defect = total - point_recovery(heating.recovery_of_point, total, flown)[0]
     # A column from another gas or with rounded digits is near the edge's; the total enthalpy lacks all of the defect.
     weight = flown["h_ref_kg_m2_s"] * defect

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.jit import njit
+from sim_heating.base.kernels.jit import for_values, njit
 from sim_heating.thermal.sampling import USUAL_HZ, Rate, sample_instants
 from sim_heating.thermal.stack import Sensor
 
@@ -56,7 +56,8 @@ def indicated_temperature(
     wrong = errors or SensorErrors(stated_bias_K(sensor))
     # A sum and not the argument of the kernel, which would be compiled for arrays a second time.
     drifted = np.asarray(temperature_K, dtype=float) + wrong.drift_K_s / wrong.gain * since_s
-    return indicated_kernel(drifted, wrong.gain, wrong.bias_K, calibration_coefficients(sensor))
+    kernel = for_values(indicated_kernel, drifted.size)
+    return kernel(drifted, wrong.gain, wrong.bias_K, calibration_coefficients(sensor))
 
 
 def stated_bias_K(sensor: Sensor) -> float:

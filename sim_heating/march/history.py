@@ -287,6 +287,35 @@ def _summary_of_band(history: PointHistory, *limits: float | None) -> dict[str, 
     return {"band": {**found, "sources_K": dict(history.band.sources)}}
 
 
+def _named(names: Sequence[str], shown: int | None) -> str:
+    """Some names and the number of the others; shown : how many are named, None for all."""
+    named = names if shown is None else names[:shown]
+    return ", ".join(named) + (f" and {len(names) - len(named)} more" if len(named) < len(names) else "")
+
+
+def range_lines(points: Mapping[str, Mapping[str, Any]], shown: int | None = None) -> list[str]:
+    """Heating ratios [-] below 0, and variables that lay outside ratio tables: a line each, with all points of it.
+
+    points : `point_summary`, or that of a prediction, by name;  shown : how many points a line names; None for all
+    """
+    negative = {n: p["negative_ratio_s"] for n, p in points.items() if p["negative_ratio_s"] > 0.0}
+    lines = []
+    if negative:
+        longest = f"{'up to ' if len(negative) > 1 else ''}{max(negative.values()):.0f} s"
+        lines.append(f"The heating ratio of {_named(list(negative), shown)} was negative for {longest}")
+    outside: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for name, point in points.items():
+        for o in point["outside_table"]:
+            outside.setdefault(o["variable"], {})[name] = o
+    for variable, by_name in outside.items():
+        longest_s, farthest = (max(o[key] for o in by_name.values()) for key in ("duration_s", "farthest"))
+        lines.append(
+            f"{variable} lay outside the ratio tables of {_named(list(by_name), shown)}, up to {longest_s:.0f} s and "
+            f"{farthest:.3g} beyond; the edge value was held (details in summary.json)"
+        )
+    return lines
+
+
 def rising_bondlines(points: Mapping[str, Mapping[str, Any]], shown: int | None = None) -> list[str]:
     """A line that names the points whose bondline [K] is hottest at the end of a flight, if there are any.
 
@@ -297,9 +326,7 @@ def rising_bondlines(points: Mapping[str, Mapping[str, Any]], shown: int | None 
     rising = [name for name, p in points.items() if p["bondline_rises"]]
     if not rising:
         return []
-    named = rising if shown is None else rising[:shown]
-    rest = f" and {len(rising) - len(named)} more" if len(named) < len(rising) else ""
     return [
-        f"The bondline of {', '.join(named)}{rest} still rises at the end, and its margin is that so far: end the "
+        f"The bondline of {_named(rising, shown)} still rises at the end, and its margin is that so far: end the "
         "flight later (`[trajectory.stop]`), or `plan` with `soak_s`"
     ]

@@ -231,7 +231,7 @@ def _errors_of_point(
         yield from (("estimate", changed, flown) for changed in _estimate_errors(model, member))
 
 
-def _knots(flown: Conditions, sizes: ErrorSize) -> FloatArray:
+def error_knots(flown: Conditions, sizes: ErrorSize) -> FloatArray:
     """Times [s] of the knots of the heating's error, KNOTS_A_TIME in its shortest correlation time while it is hot."""
     flux = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     heated_s = flown.time_s[flux >= HEATED * np.max(flux)]
@@ -264,7 +264,7 @@ def spreads(
     labels, variants = [label for label, *_ in errors], [(changed, along) for _, changed, along in errors]
     first, sizes, knots = len(variants), heating_sizes(heating, member), np.zeros(0)
     if sizes is not None:
-        knots = _knots(flown, sizes)
+        knots = error_knots(flown, sizes)
         variants += [(central, c) for c in scaled_heating(flown, knots)]
     marched = dispersed_temperatures(central, flown, variants, longest_step_s)
     sensors = slice(2, None)

@@ -8,8 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.kernels.jit import interpreted
 from sim_heating.heating.atmosphere import (
     EARTH_RADIUS_M,
+    HIGHEST_M,
+    LOWEST_M,
     free_stream,
     free_stream_kernel,
     geometric,
@@ -36,6 +39,14 @@ def test_the_standard_atmosphere_has_its_published_values(row):
 
 
 LAYER_FEET_M = [11019.07, 20063.12, 32161.9, 47350.1, 51412.5, 71802.0, 80e3, 86e3, 91e3, 110e3, 120e3]
+
+
+def test_the_standard_atmosphere_has_the_same_bits_interpreted_and_compiled():
+    """A check of a file has it without the compiler, a flight with it."""
+    z = np.append(np.linspace(LOWEST_M, HIGHEST_M, 2001), LAYER_FEET_M)
+    interpreted_bits = np.array([interpreted(us76_kernel)(at) for at in z])
+    assert np.array_equal(interpreted_bits, [us76_kernel(at) for at in z])
+    assert np.array_equal(interpreted_bits.T, us76(z))
 
 
 @pytest.mark.parametrize("altitude_m", LAYER_FEET_M)

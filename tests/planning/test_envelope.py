@@ -28,6 +28,7 @@ from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.plan import parts_of
 from sim_heating.planning.ratio_table_modes import informed_root, peak_sensitivities
 from sim_heating.planning.study import load_study
+from sim_heating.simulation.run import run
 from sim_heating.trajectory.aero import load_aero
 from sim_heating.trajectory.point_mass import WGS84_RADIUS_M
 from sim_heating.trajectory.spec import Stop
@@ -363,6 +364,20 @@ def test_every_file_names_vehicle_revision_and_study(planned: Path) -> None:
         assert (out / "envelope" / f"{name}.png").stat().st_size > 10_000
 
 
+def test_margins_of_the_base_entry_are_those_of_its_run() -> None:
+    """Behind the interface with the nose cap, whose wall upstream heats a tile by some kelvins more."""
+    names, scenario = ("NOSE_HRSI", "V07T9975"), load_scenario(ROOT / "scenarios" / "entry_3dof.toml")
+    declared = scenario.declared.model_copy(update={"trajectory": base().spec})
+    ran = run(replace(scenario, declared=declared, names=names)).points
+    margins, tile = evaluator(*names).evaluate(Case()).margins, ran["NOSE_HRSI"].model
+    for name in names:
+        peak_K = ran[name].history.surface_K.max()
+        assert margins[f"{name} surface"].value == pytest.approx(peak_K, abs=0.01)
+    by_itself = conditions_at_point(base().vehicle, base().vehicle.control_point(tile.name), flown(Case()).conditions)
+    (without_wall,) = march_points([tile], [by_itself])
+    assert margins["NOSE_HRSI surface"].value > without_wall.surface_K.max() + 1.0
+
+
 def test_every_margin_names_the_entry_that_it_is_of(planned: Path) -> None:
     """In the map and under credibility, where the margins of two entries seem to contradict each other."""
     names = ["alpha_offset_deg -6", "base entry (alpha_offset_deg 0)"]
@@ -370,6 +385,8 @@ def test_every_margin_names_the_entry_that_it_is_of(planned: Path) -> None:
     assert [f["entry"] for f in result["envelope"]["maps"]["alpha"]["flights"]] == names
     evidence = result["credibility"]["evidence"]
     assert evidence["robustness.holds"]["finding"].startswith("base entry, as `run` has it: least margin ")
+    by_map = result["envelope"]["maps"]["alpha"]["flights"][1]["margins_K"]["V07T9975 surface"]
+    assert f"least margin {by_map:.0f} K (V07T9975 surface)" in evidence["robustness.holds"]["finding"]
     assert " in the base entry: sigma " in evidence["uncertainty.stated"]["finding"]
     page = (planned / "out" / "report.html").read_text().replace("<wbr>", "")
     assert all(f"<td>{name}</td>" in page for name in names)

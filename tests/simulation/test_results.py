@@ -190,6 +190,16 @@ def test_the_page_of_a_run_has_the_histories_of_all_points_and_their_peaks(out: 
         assert f"{point.history.surface_K.max():.0f} K" in page
 
 
+def test_the_page_of_a_run_tells_a_variable_outside_ratio_tables_once(out: Path) -> None:
+    """As the terminal does, with the longest time and the farthest distance of all points."""
+    points = json.loads((out / "summary.json").read_text())["control_points"]
+    outside = [(o["variable"], name) for name, point in points.items() for o in point["outside_table"]]
+    told = re.findall(r"(\w+) lay outside the ratio tables of ([^<]*), up to", (out / "report.html").read_text())
+    assert len(outside) > len(told) > 0
+    assert [variable for variable, _ in told] == list(dict.fromkeys(variable for variable, _ in outside))
+    assert {(variable, name) for variable, names in told for name in names.split(", ")} == set(outside)
+
+
 @pytest.mark.parametrize(
     ("record", "caption"),
     [(PRACTICE / "p06", "Shaded: blue fitted, grey held out."), (BOARD, "")],

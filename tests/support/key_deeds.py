@@ -673,7 +673,7 @@ def study(**keys: Any) -> Callable[[Path], None]:
 GLIDE = gliding(stop={"time_s": 60.0}, sample_s=2.0, guidance={"reversals_m_s": [6760.0]})
 DISPERSION: Document = {
     "flights": 16, "sampling": "sobol", "scrambles": 2, "seed": 3, "index_flights": 4, "quantiles": [0.5, 0.9],
-    "confidence": 0.9, "tables": 0.5, "step_s": 0.5, "thermal_step_s": 2.0, "spot_checks": 0,
+    "confidence": 0.9, "tables": 0.5, "model_error": True, "step_s": 0.5, "thermal_step_s": 2.0, "spot_checks": 0,
     "input": [
         {"name": "entry.gamma_deg", "sigma": 0.03, "title": "path"},
         {"name": "air.density", "low": -0.1, "high": 0.2, "over": [[0.0, 0.2], [80e3, 1.0]]},

@@ -1,7 +1,7 @@
 """Decorators of kernels: compiled by numba in one way, when they are first called.
 
 Importing a kernel costs nothing: numba, which takes half a second to import, is imported by the first call of one
-(compiler.py). What only reads and checks files never calls a kernel.
+(compiler.py). What only reads and checks files lets the interpreter run the few that it needs (`for_values`).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import functools
 import os
 import sys
 from collections.abc import Callable
+from types import FunctionType
 from typing import Any, TypeVar, cast
 from weakref import WeakValueDictionary
 
@@ -19,6 +20,8 @@ STEP_SIGNATURE = "void(CPointer(float64), CPointer(int64), CPointer(float64), in
 """step(B, J, table, dispatcher, dt), dt [s], as a host's C code sees a compiled step; in the words of numba."""
 
 
+FEW_VALUES = 10_000
+"""Values that the interpreter is done with long before the compiler would be loaded."""
 _PACKAGE = f"{__name__.partition('.')[0]}."
 
 
@@ -165,10 +168,26 @@ def c_function(signature: Any, function: Any, cache: bool = True) -> Any:
     return compiler.c_function(signature, function, cache)
 
 
+@functools.cache
 def interpreted(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """The function that a kernel compiles, as the interpreter runs it; one of plain arithmetic also takes arrays."""
-    function: Callable[..., Any] = getattr(kernel, "py_func", kernel)
-    return function
+    """The function that a kernel compiles, as the interpreter runs it, and with it the kernels that it calls; one of
+    plain arithmetic also takes arrays."""
+    function: Any = getattr(kernel, "py_func", kernel)
+    names, module = function.__code__.co_names, function.__globals__
+    called = {name: interpreted(module[name]) for name in names if isinstance(module.get(name), Kernel)}
+    if not called:
+        return cast(Callable[..., Any], function)
+    return FunctionType(
+        function.__code__, module | called, function.__name__, function.__defaults__, function.__closure__
+    )
+
+
+def for_values(kernel: F, count: int) -> F:
+    """A kernel for a number of values: of few, the function that the interpreter runs, until the compiler is loaded.
+
+    Both give the same bits. A check of a file calls a kernel for some columns and nothing else.
+    """
+    return cast(F, interpreted(kernel)) if count <= FEW_VALUES and "numba" not in sys.modules else kernel
 
 
 def address_of(function):

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.march.point import PointModel
@@ -25,6 +24,7 @@ from sim_heating.planning.bands import (
     open_parameters,
     principal_steps,
 )
+from sim_heating.planning.dispersion.statistics import choices
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +131,4 @@ class DrawnMembers:
         """
         if not self.is_drawn:
             return np.zeros(len(z), dtype=np.int64)
-        share, first = self.shares, self.heaviest
-        order = np.array([first, *(k for k in range(len(self.each)) if k != first)])
-        # The heaviest lies about the middle of the distribution, where the planned flight is.
-        u = (ndtr(z[:, 0]) - 0.5 + 0.5 * share[first]) % 1.0
-        place = np.searchsorted(np.cumsum(share[order])[:-1], u, side="right")
-        return np.asarray(order[place])
+        return choices(self.shares, z[:, 0])

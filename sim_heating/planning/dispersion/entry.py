@@ -10,7 +10,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,10 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import LANES
+from sim_heating.inputs.points import conditions_at_point
 from sim_heating.march.mesh_choice import NODE_COUNTS, mesh_of_nodes
 from sim_heating.planning.bands import DECLARED, Member
+from sim_heating.planning.dispersion.drawn_errors import DrawnError, drawn_errors
 from sim_heating.planning.dispersion.drawn_members import DrawnMember, DrawnMembers
 from sim_heating.planning.dispersion.flight import EntrySampler, SampledFlights, entry_sampler, input_labels
 from sim_heating.planning.dispersion.march import FlightPeaks, LaneMarch, model_without_sensors
@@ -38,6 +40,14 @@ MESH_TOLERANCE_K = 0.3
 """Largest error of a peak of the planned flight by the mesh [K]: 4/3 of its change when every element is halved."""
 DIFFERENCE = 0.1
 """Step of an input, to either side, for differences about the planned flight, in standard deviations."""
+TABLES, MEMBERS, ERRORS = "ratio tables", "members", "model error"
+"""Labels of the groups of a sensitivity index that are no inputs of the study."""
+GROUP_SIZES = {
+    TABLES: "their own sigma",
+    MEMBERS: "by weight, and by their covariance",
+    ERRORS: "smooth in time, as bands have it",
+}
+"""Label of such a group -> its size in words."""
 SOBOL, RANDOM, INDEX, AXES, SPOT_CHECK = "sobol", "random", "index", "axes", "spot-check"
 """Designs: two for the statistics, then for sensitivity indices, differences, and six degrees of freedom."""
 
@@ -55,6 +65,34 @@ class Batch:
     def id(self) -> str:
         """Name of its file in the ledger."""
         return f"{self.design}-{self.scramble:04d}-{self.start:09d}.parquet"
+
+
+@dataclass(frozen=True)
+class NumberColumns:
+    """Columns of a row of normal numbers, in this order.
+
+    inputs  : one an input of the study
+    modes   : of the ratio table of each point
+    members : which member a flight has, and what that leaves open; empty without members
+    errors  : of the error of the heating of each point; none where it is not drawn
+    """
+
+    inputs: slice
+    modes: list[slice]
+    members: slice
+    errors: list[slice]
+
+    @classmethod
+    def of_counts(cls, inputs: int, modes: Sequence[int], members: int, errors: Sequence[int]) -> NumberColumns:
+        """Columns by the number of each."""
+        ends = accumulate([inputs, *modes, members, *errors], initial=0)
+        first, *others = (slice(a, b) for a, b in pairwise(ends))
+        return cls(first, others[: len(modes)], others[len(modes)], others[len(modes) + 1 :])
+
+    @property
+    def count(self) -> int:
+        """Number of columns."""
+        return (self.errors[-1] if self.errors else self.members).stop
 
 
 class DispersedEntry:
@@ -77,8 +115,8 @@ class DispersedEntry:
 
     def __getstate__(self) -> dict[str, Any]:
         """The study, and the results that take long to compute if they are there: another process then has them."""
-        # Meshes and modes take long to compute; all else a process makes again from the study.
-        return {key: self.__dict__[key] for key in ("study", "meshes", "modes", "mode_columns") if key in self.__dict__}
+        # Meshes, modes and errors take long to compute; all else a process makes again from the study.
+        return {key: self.__dict__[key] for key in ("study", "meshes", "modes", "errors") if key in self.__dict__}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(state.pop("study"))  # type: ignore[misc]
@@ -125,22 +163,29 @@ class DispersedEntry:
         return [table_modes(self.study.vehicle, p.point.name, x, self.spec.tables) for p in self.points]
 
     @cached_property
-    def mode_columns(self) -> list[slice]:
-        """Columns of a row of normal numbers for the modes of each point; those of the inputs come first."""
-        ends = len(self.inputs) + np.cumsum([0, *(m.shape[1] for m in self.modes)])
-        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+    def errors(self) -> list[list[DrawnError]]:
+        """(member, point) smooth error of the heating; of no point where the study does not ask for it."""
+        if not self.spec.model_error:
+            return [[] for _ in self.members.each]
+        rows, vehicle = self.planned.rows[0, : self.planned.frame_counts[0]], self.study.vehicle
+        path = conditions_from_rows(rows, vehicle.reference_length_m)
+        flown = [conditions_at_point(vehicle, p.point, path) for p in self.points]
+        return [drawn_errors(m, flown) for m in self.members.each]
+
+    @cached_property
+    def columns(self) -> NumberColumns:
+        """Columns of a row of normal numbers."""
+        return NumberColumns.of_counts(
+            len(self.inputs),
+            [m.shape[1] for m in self.modes],
+            self.members.columns,
+            [max(e.columns for e in of_point) for of_point in zip(*self.errors, strict=True)],
+        )
 
     @property
     def dimensions(self) -> int:
         """Number of independent normal numbers of a flight."""
-        return self.member_columns.stop
-
-    @cached_property
-    def member_columns(self) -> slice:
-        """Columns of a row for the member of a flight, if there are some: which one it is, and what that leaves open;
-        behind those of the ratio tables."""
-        first = self.mode_columns[-1].stop
-        return slice(first, first + self.members.columns)
+        return self.columns.count
 
     @cached_property
     def members(self) -> DrawnMembers:
@@ -152,16 +197,13 @@ class DispersedEntry:
 
     @cached_property
     def groups(self) -> list[tuple[str, list[int]]]:
-        """Label and columns of each group of a sensitivity index: every input, the ratio tables together, and the
-        members with what they leave open."""
+        """Label and columns of each group of a sensitivity index: every input, the ratio tables together, the members
+        with what they leave open, and the errors of the heating together."""
+        columns = self.columns
+        groups = {TABLES: columns.modes, MEMBERS: [columns.members], ERRORS: columns.errors}
+        together = [(label, [k for s in some for k in range(s.start, s.stop)]) for label, some in groups.items()]
         single = [(label, [k]) for k, label in enumerate(self.labels)]
-        tables = list(range(len(self.inputs), self.mode_columns[-1].stop))
-        members = list(range(self.member_columns.start, self.member_columns.stop))
-        return [
-            *single,
-            *([("ratio tables", tables)] if tables else []),
-            *([("members", members)] if members else []),
-        ]
+        return [*single, *((label, numbers) for label, numbers in together if numbers)]
 
     @cached_property
     def group_descriptions(self) -> list[tuple[str, str]]:
@@ -173,8 +215,7 @@ class DispersedEntry:
             points = [] if i.name in FLIGHT_INPUTS else i.points_of(self.point_names)
             unit = self.lanes.models[points[0]].definition(i.name).unit if points else "1"
             described.append(i.model_copy(update={"title": named}).describe(unit))
-        sizes = {"ratio tables": "their own sigma", "members": "by weight, and by their covariance"}
-        return [*described, *((label, sizes[label]) for label, _ in self.groups[len(described) :])]
+        return [*described, *((label, GROUP_SIZES[label]) for label, _ in self.groups[len(described) :])]
 
     @cached_property
     def meshes(self) -> list[Mesh]:
@@ -207,7 +248,10 @@ class DispersedEntry:
     @cached_property
     def marches(self) -> list[MemberMarch]:
         """The control points in lanes, as each member has them."""
-        return [MemberMarch(m, self._lanes(m, self.meshes), self.inputs) for m in self.members.each]
+        return [
+            MemberMarch(m, self._lanes(m, self.meshes), self.inputs, errors)
+            for m, errors in zip(self.members.each, self.errors, strict=True)
+        ]
 
     @property
     def lanes(self) -> LaneMarch:
@@ -238,12 +282,17 @@ class DispersedEntry:
         deviation = deviations(self.inputs, z)
         flown = self.sampler.fly(self.inputs, [self.flight_deviations(row) for row in deviation])
         peaks = self.march(flown, deviation, z)
+        member = self.members.numbers(z[:, self.columns.members])
         least, most = peaks.extent[:, 0], peaks.extent[:, 1]
         return {
             "scramble": np.full(len(z), float(batch.scramble)),
             "flight": np.arange(batch.start, batch.stop, dtype=float),
             **{f"input.{label}": deviation[:, k] for k, label in enumerate(self.labels)},
-            **({"member": self.members.numbers(z[:, self.member_columns]).astype(float)} if self.spec.member else {}),
+            **({"member": member.astype(float)} if self.spec.member else {}),
+            **{
+                f"model_error.{n}": np.choose(member, [e.sigma(z[:, c]) for e in of_point])
+                for n, c, *of_point in zip(self.point_names, self.columns.errors, *self.errors, strict=False)
+            },
             "outcome": flown.outcome.astype(float),
             "end_s": flown.end_s,
             "untrimmed_s": flown.untrimmed_s,
@@ -272,14 +321,17 @@ class DispersedEntry:
         keep      : receives for each point surface and bondline (time, 2 LANES) [K] and the conditions (LANES, time,
                     condition); None for none
         """
-        own = z[:, self.member_columns]
+        own = z[:, self.columns.members]
         member = self.members.numbers(own)
         flights, parts = [np.flatnonzero(member == k) for k in range(len(self.marches))], []
         for of_member, marched in zip(flights, self.marches, strict=True):
             if len(of_member):
-                of_tables = [(m, z[of_member, c]) for m, c in zip(self.modes, self.mode_columns, strict=True)]
+                of_tables = [(m, z[of_member, c]) for m, c in zip(self.modes, self.columns.modes, strict=True)]
+                of_errors = [z[of_member, c] for c in self.columns.errors]
                 chosen = flown.chosen(of_member)
-                parts.append(marched.march(chosen, deviation[of_member], own[of_member, 1:], of_tables, keep))
+                parts.append(
+                    marched.march(chosen, deviation[of_member], own[of_member, 1:], of_tables, of_errors, keep)
+                )
         order, peaks = np.argsort(np.concatenate(flights)), joined(parts)
         return FlightPeaks(*(getattr(peaks, f.name)[order] for f in fields(FlightPeaks)))
 

@@ -15,7 +15,15 @@ import numpy as np
 from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import EFFECT_PARAMETERS, EFFECT_WIDTH, LANES, N_CONDITIONS, RATIO_TABLE
+from sim_heating.base.kernels.block import (
+    EFFECT_PARAMETERS,
+    EFFECT_WIDTH,
+    H_REF,
+    LANES,
+    N_CONDITIONS,
+    RATIO_TABLE,
+    TIME,
+)
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.lookup import VARIABLES
@@ -173,12 +181,15 @@ class LaneMarch:
         first: int,
         changes: Sequence[tuple[ParameterPlace, FloatArray]],
         table_factors: Sequence[FloatArray | None],
+        errors: Sequence[tuple[FloatArray, FloatArray]] = (),
         keep: list[tuple[FloatArray, FloatArray]] | None = None,
     ) -> FlightPeaks:
         """Peaks along LANES flights, or fewer, from `first` on.
 
         changes       : places of parameters and their (flight,) deviations, each in the unit of the parameter
         table_factors : for each point (node, flight) factors on its ratio table [-]; None leaves the table as declared
+        errors        : for each point (knot,) times [s] and (flight, knot) relative errors of its heating [-], linear
+                        between; none where the heating is exact
         keep          : if given, receives for each point surface and bondline (time, 2 LANES) [K] and the conditions
                         (LANES, time, condition)
         """
@@ -189,6 +200,8 @@ class LaneMarch:
         time_s = self.times(int(frame_counts.max()))
         histories = self._history_memory(len(time_s))
         condition_kernel(flown.rows[lane], frame_counts, self.host, self.constants, self.soak, time_s, histories)
+        for history, (knots_s, relative) in zip(histories, errors, strict=False):
+            _scale_heating(history, frame_counts, knots_s, relative[lane])
         self.ensemble.restore(self._initial_state)
         self._write_parameters(changes, lane)
         self._write_ratio_tables(table_factors, lane)
@@ -266,6 +279,16 @@ class LaneMarch:
             for k, first in enumerate(nodes.first.tolist()):
                 scaled = nodes.declared * (1.0 if factor is None else factor[:, lane[k]])
                 table[first : first + len(scaled)] = scaled
+
+
+def _scale_heating(history: FloatArray, frame_counts: IntArray, knots_s: FloatArray, relative: FloatArray) -> None:
+    """Multiply the heating of (lane, time, condition) flights, without their soak, by 1 + its error; never below 0.
+
+    frame_counts : (lane,) of the flights;  knots_s : (knot,) [s];  relative : (lane, knot) error [-]
+    """
+    for of_lane, frames, error in zip(history, frame_counts.tolist(), relative, strict=True):
+        flown = of_lane[:frames]
+        flown[:, H_REF] *= np.maximum(1.0 + np.interp(flown[:, TIME], knots_s, error), 0.0)
 
 
 def model_without_sensors(vehicle: Vehicle, limited: LimitedPoint, effects: Sequence[EffectUse]) -> PointModel:

@@ -10,6 +10,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.block import LANES
+from sim_heating.planning.dispersion.drawn_errors import DrawnError
 from sim_heating.planning.dispersion.drawn_members import DrawnMember
 from sim_heating.planning.dispersion.flight import SampledFlights
 from sim_heating.planning.dispersion.march import FlightPeaks, LaneMarch, ParameterPlace
@@ -22,11 +23,13 @@ class MemberMarch:
     """The control points of a study as one member has them.
 
     member : at the control points;  lanes : these in lanes;  inputs : of the study
+    errors : of the heating of each control point; none where it is exact
     """
 
     member: DrawnMember
     lanes: LaneMarch
     inputs: Sequence[DispersedInput]
+    errors: Sequence[DrawnError] = ()
 
     @cached_property
     def places(self) -> list[list[ParameterPlace]]:
@@ -46,6 +49,7 @@ class MemberMarch:
         deviation: FloatArray,
         z: FloatArray,
         modes: Sequence[tuple[FloatArray, FloatArray]],
+        of_errors: Sequence[FloatArray],
         keep: list[tuple[FloatArray, FloatArray]] | None = None,
     ) -> FlightPeaks:
         """Peaks along flights, LANES at a time.
@@ -53,6 +57,7 @@ class MemberMarch:
         deviation : (flight, input), each in the unit of its input
         z         : (flight, number) normal numbers of what the estimate leaves open
         modes     : of each point's ratio table, (node, mode) errors and the (flight, mode) normal numbers of these
+        of_errors : (flight, number) normal numbers of the error of each point's heating
         keep      : receives for each point surface and bondline (time, 2 LANES) [K] and the conditions (LANES, time,
                     condition); None for none
         """
@@ -67,9 +72,12 @@ class MemberMarch:
             table_factors(errors, numbers) if errors.shape[1] and not self.member.replaces_table(p) else None
             for p, (errors, numbers) in enumerate(modes)
         ]
+        errors = [(e.knots_s, e.at_knots(own)) for e, own in zip(self.errors, of_errors, strict=True)]
         # One flight a lane and one point a group: flights of a batch share their times, and tables and stacks differ by
         # lane.
-        return joined([self.lanes.march(flown, first, changes, tables, keep) for first in range(0, len(z), LANES)])
+        return joined(
+            [self.lanes.march(flown, first, changes, tables, errors, keep) for first in range(0, len(z), LANES)]
+        )
 
 
 def joined(parts: Sequence[FlightPeaks]) -> FlightPeaks:

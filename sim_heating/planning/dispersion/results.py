@@ -8,7 +8,7 @@ s_k [K] is the sensitivity of a peak times the standard deviation of input k. Fo
 exact (march/linearised.py), at the time of the peak; for inputs that change the flight, and for modes of ratio tables,
 it is a central difference of flights DIFFERENCE standard deviations to either side. With members of a set of estimates
 T_mean is their mean by weight, their scatter along the planned flight is one of the s_k, and the others are those of
-the heaviest member.
+the heaviest member. Slopes by the error of the heating have the variance of all its sizes.
 """
 
 from __future__ import annotations
@@ -200,12 +200,15 @@ def first_order(entry: DispersedEntry, columns: Columns) -> FirstOrder:
     # Sensitivities of the march replace the differences wherever an input changes parameters of a point alone.
     for quantity, point, column, exact in exact_slopes(entry):
         slope[quantity, point, column] = exact * scale[column]
+    for p, (error, number) in enumerate(zip(entry.errors[entry.members.heaviest], entry.columns.errors, strict=True)):
+        knots = slice(number.start + 1, number.start + error.columns)
+        slope[:, p, knots] = error.of_all_sizes(slope[:, p, knots])
     if not entry.members.is_drawn:
         return FirstOrder(T[..., 0], slope)
     # Which member is true does not change by steps: it counts by the scatter of the planned flight between them.
     share, planned = entry.members.shares, entry.planned_peaks
     mean = np.tensordot(share, planned, 1)
-    slope[..., entry.member_columns.start] = np.sqrt(np.tensordot(share, (planned - mean) ** 2, 1))
+    slope[..., entry.columns.members.start] = np.sqrt(np.tensordot(share, (planned - mean) ** 2, 1))
     return FirstOrder(T[..., 0] + mean - planned[entry.members.heaviest], slope)
 
 
@@ -484,6 +487,7 @@ def data_of(result: DispersionResult) -> dict[str, Any]:
         "within_limits_tables_and_trim": asdict(result.within_limits_and_data),
         "elevon_at_limit": {"flights": int(np.count_nonzero(untrimmed > 0.0)), "longest_s": float(np.max(untrimmed))},
         "outside_tables": [asdict(o) for o in result.excursions],
+        **({"model_error": error_sizes_of(result)} if spec.model_error else {}),
         "negative_ratio_flights": {
             p.point.name: int(np.sum(result.columns[f"negative.{p.point.name}"])) for p in entry.points
         },
@@ -497,6 +501,12 @@ def members_of(result: DispersionResult) -> list[dict[str, Any]]:
     entry = result.entry
     stated = member_data(entry.spec.member, entry.estimates)
     return [m | {"flights": int(np.count_nonzero(result.columns["member"] == k))} for k, m in enumerate(stated)]
+
+
+def error_sizes_of(result: DispersionResult) -> dict[str, float]:
+    """Standard deviation of the heating's error of each control point over all flights [-]; none without one."""
+    names = result.entry.point_names if result.entry.spec.model_error else []
+    return {n: float(np.sqrt(np.mean(result.columns[f"model_error.{n}"] ** 2))) for n in names}
 
 
 def _peak_data(peak: PeakStatistics, names: Sequence[str]) -> dict[str, Any]:
@@ -554,12 +564,23 @@ def notes_of(result: DispersionResult) -> list[str]:
                 f"{a.point}: every flight exceeds the limit of {a.limit:.0f} K at its {a.location}; the lowest peak is "
                 f"{a.least_K:.0f} K"
             )
-    lines += [*_excursion_notes(result), *_trim_notes(result), *_check_notes(result), *_index_notes(result)]
+    lines += [*_error_notes(result), *_excursion_notes(result), *_trim_notes(result)]
+    lines += [*_check_notes(result), *_index_notes(result)]
     fails = [f"{a.point} {a.location}" for a in result.peaks if not a.first["holds"]]
     if fails:
         all_of = _all_or_names(fails, len(result.peaks), "peaks")
         lines.append(f"first order does not reproduce the counted quantiles of {all_of}")
     return lines
+
+
+def _error_notes(result: DispersionResult) -> list[str]:
+    """The size of the heating's error, where flights have one."""
+    sizes = error_sizes_of(result).values()
+    if not sizes:
+        return []
+    low, high = (f"{100.0 * s:.2g} %" for s in (min(sizes), max(sizes)))
+    size = low if low == high else f"{low} to {high}"
+    return [f"the heating of each flight has the smooth error that bands have, one standard deviation {size}"]
 
 
 def _excursion_notes(result: DispersionResult) -> list[str]:

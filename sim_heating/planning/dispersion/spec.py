@@ -8,6 +8,7 @@ sigma = 0.03                        # normal about the declared value; or low an
 over = [[0.0, 0.2], [80e3, 1.0]]    # for `air.*`: factor on the deviation over altitude [m]
 title = "the whole column"          # distinguishes it from others of its name, in tables and pictures
 control_points = ["NOSECAP"]        # for a parameter of points: only these; one deviation for all of them
+model_error = true                  # the smooth error of the heating, as the band of a run has it
 [[dispersion.member]]               # an estimate of flights, with a weight; a flight has one, drawn by the weights
 estimate = "../out/fit"             # planning/members.py
 weight = 3.0
@@ -20,9 +21,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from sim_heating.base.files import Declared, suggestion
 from sim_heating.base.parameters import EFFECT_PREFIX, MODEL, layer_parameter
@@ -135,6 +136,7 @@ class Dispersion(Declared):
     quantiles     : quantiles of peak temperatures that are reported
     confidence    : of the bounds of quantiles and probabilities
     tables        : factor on the sigma of the ratio tables; 0 disperses none
+    model_error   : whether the heating of each flight has the smooth error that `run --bands` has
     step_s        : step of the flight [s]
     thermal_step_s : step of the thermal march [s], a multiple of step_s
     spot_checks   : flights that are also flown in six degrees of freedom (JSBSim)
@@ -152,11 +154,18 @@ class Dispersion(Declared):
     quantiles: list[float] = Field(default=[0.5, 0.95, 0.99], min_length=1)
     confidence: float = Field(default=0.95, gt=0.5, lt=1.0)
     tables: float = Field(default=1.0, ge=0.0, le=10.0)
+    model_error: bool = False
     step_s: float = Field(default=0.5, gt=0.0, le=5.0)
     thermal_step_s: float = Field(default=4.0, gt=0.0, le=60.0)
     spot_checks: int = Field(default=0, ge=0, le=100)
     input: list[DispersedInput] = Field(default=[], max_length=256)
     member: list[StudyMember] = Field(default=[], max_length=64)
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_asked_for(self, contents: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The hash of a study that does not ask for the model's error is as before that could be asked for."""
+        data: dict[str, Any] = contents(self)
+        return {key: value for key, value in data.items() if key != "model_error" or value}
 
     @field_validator("quantiles")
     @classmethod

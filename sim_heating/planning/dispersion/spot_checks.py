@@ -1,7 +1,8 @@
 """Spot checks of a dispersion: some flights repeated in six degrees of freedom, to show what the point mass omits [K].
 
 JSBSim flies the same entry, deviations and guidance, and the flight is marched as `run` marches it. Factors on CN and
-CA cannot be given to JSBSim, so these flights have none, with either source; points and tables have nominal parameters.
+CA cannot be given to JSBSim, so these flights have none, with either source; points and tables have nominal parameters,
+and the heating has no error.
 """
 
 from __future__ import annotations

@@ -105,6 +105,18 @@ def deviations(inputs: Sequence[DispersedInput], z: FloatArray) -> FloatArray:
     return np.column_stack(columns) if columns else np.zeros((len(z), 0))
 
 
+def choices(shares: FloatArray, z: FloatArray) -> IntArray:
+    """(flight,) number of the alternative that each flight has, by (alternative,) shares of 1; 0 has the likeliest.
+
+    z : (flight,) standard normal numbers
+    """
+    first = int(np.argmax(shares))
+    order = np.array([first, *(k for k in range(len(shares)) if k != first)])
+    # The likeliest lies about the middle of the distribution, where the planned flight is.
+    u = (ndtr(z) - 0.5 + 0.5 * shares[first]) % 1.0
+    return np.asarray(order[np.searchsorted(np.cumsum(shares[order])[:-1], u, side="right")])
+
+
 def _uniform(i: DispersedInput, u: FloatArray) -> FloatArray:
     assert i.low is not None  # DispersedInput has either sigma or both ends
     assert i.high is not None

@@ -21,7 +21,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import LANES
-from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.points import conditions_behind_walls, point_of_vehicle
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.march.history import BAND_PROBABILITY, table_excursions
 from sim_heating.march.mesh_choice import choose_meshes
@@ -149,9 +149,10 @@ class MarginEvaluator:
             return EvaluatedCase(case, {}, error=f"{case.describe()}: {' '.join(str(error).split())}")
 
     def _evaluate_flight(self, flown: FlownCase) -> EvaluatedCase:
-        vehicle = self.base.vehicle
+        vehicle, by_name = self.base.vehicle, {m.name: m for m in self.models}
         conditions_of = [
-            conditions_at_point(vehicle, p.point, flown.at_side(p.point.position_m[1])) for p in self.points
+            conditions_behind_walls(vehicle, [p.point], flown.at_side(p.point.position_m[1]), by_name)[0]
+            for p in self.points
         ]
         flights = [with_soak(c, self.soak_s) for c in conditions_of]
         margins = self._trim_margins(flown)

@@ -17,7 +17,7 @@ from sim_heating.base.report.page import Page, SavedPicture, Section
 from sim_heating.base.report.table import SORTABLE, Column, Table
 from sim_heating.credibility.section import credibility_section
 from sim_heating.inputs.record import Record
-from sim_heating.march.history import PointHistory, rising_bondlines
+from sim_heating.march.history import PointHistory, range_lines, rising_bondlines
 from sim_heating.simulation.report.charts import (
     MEASURED,
     ModelCurve,
@@ -85,7 +85,7 @@ def run_page(
     beyond = [i for i, row in enumerate(peaks.rows) if any((row[k] or 0.0) < 0.0 for k in margins)]
     table = replace(peaks, title="Bold: a limit is exceeded." if beyond else "", strong=beyond, sortable=_long(peaks))
     temperatures = temperature_chart(points, windows, limits, SavedPicture(pictures.temperatures))
-    lines = [*_range_lines(summary["control_points"]), *rising_bondlines(summary["control_points"])]
+    lines = [*range_lines(summary["control_points"]), *rising_bondlines(summary["control_points"])]
     sections = [
         Section("Peak temperatures", points=lines, tables=[table]),
         Section("Temperatures", charts=[temperatures]),
@@ -101,21 +101,6 @@ def run_page(
 
 def _long(table: Table) -> bool:
     return len(table.rows) > SORTABLE
-
-
-def _range_lines(points: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Excursions from ratio tables and negative heating ratios, a line each."""
-    lines = [
-        f"{name}: {o['variable']} lay outside the ratio table for {o['duration_s']:.0f} s, up to {o['farthest']:.3g} "
-        "beyond; the edge value was held"
-        for name, point in points.items()
-        for o in point["outside_table"]
-    ]
-    return lines + [
-        f"{name}: the heating ratio was negative for {point['negative_ratio_s']:.0f} s"
-        for name, point in points.items()
-        if point["negative_ratio_s"] > 0.0
-    ]
 
 
 def _compared_section(compared: Sequence[MeasuredCurve], picture: Path) -> list[Section]:
@@ -163,7 +148,7 @@ def prediction_page(
     """
     kind = "measured" if record.declared.measured else "synthetic"
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data; nothing fitted"
-    warnings = [*_range_lines({record.name: summary}), *filter(None, [summary["beyond_reference"]])]
+    warnings = [*range_lines({record.name: summary}), *filter(None, [summary["beyond_reference"]])]
     sections = [
         _prediction_errors(summary),
         Section("Measured against predicted", charts=[record_chart(record, [predicted], SavedPicture(picture))]),
