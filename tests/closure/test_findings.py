@@ -183,17 +183,19 @@ SIZE = ErrorSize(np.array([0.05]), np.array([200.0]), np.ones(1), np.zeros((1, 1
 """What readings say of the size of a model's error, of one size alone."""
 
 
-@pytest.mark.parametrize("size", [None, SIZE], ids=["exact", "with an error"])
-def test_a_model_that_explains_the_record_is_left_for_a_larger_gain(size) -> None:
-    """If only through its own error: what the form of that error lacks gives a cause some gain as well."""
+@pytest.mark.parametrize(
+    ("size", "least"), [(None, POLICY.min_gain_over_adequate), (SIZE, POLICY.min_gain)], ids=["exact", "with an error"]
+)
+def test_an_exact_model_that_explains_the_record_is_left_for_a_larger_gain(size, least) -> None:
+    """Errors of form give a cause some gain, which an error of the model takes up."""
     search = searched()
     adequate, not_so = (replace(h, trials=(replace(h.last, size=size),)) for h in (search.conclusion.best, search.none))
     assert adequate.adequate
     assert not not_so.adequate
-    for none, least in ((adequate, POLICY.min_gain_over_adequate), (not_so, POLICY.min_gain)):
+    for none, needed in ((adequate, least), (not_so, POLICY.min_gain)):
         for beyond, is_named in ((-1.0, False), (1.0, True)):
-            found = conclude(none, [renamed(adequate, "transition", -least - beyond)])
-            assert (found.alternatives == (("transition",),)) is is_named
+            conclusion = conclude(none, [renamed(adequate, "transition", -needed - beyond)])
+            assert (conclusion.alternatives == (("transition",),)) is is_named
 
 
 def test_an_error_of_the_model_leaves_it_to_the_evidence_what_is_resembled() -> None:

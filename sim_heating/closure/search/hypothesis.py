@@ -447,8 +447,7 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     """
     admissible = [h for h in rated if h.admissible]
     best = admissible[0] if admissible else None
-    least = POLICY.min_gain_over_adequate if none.adequate else POLICY.min_gain
-    if best is None or best.score > -least:
+    if best is None or best.score > -_least_gain(none):
         enough = POLICY.contradicted_p if none.last.size is None else POLICY.adequate_p
         unexplained = none.adequacy.p_value < enough and not none.adequacy.unstructured
         unexplained |= not _small_error(none)
@@ -474,6 +473,14 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     if fraction >= POLICY.min_explained or best.last.size is not None:
         return Conclusion("partly", best, alternatives, rival, fraction, beaten)
     return Conclusion("unknown", best, (), rival, fraction, beaten)
+
+
+def _least_gain(none: Hypothesis) -> float:
+    """By how much a cause has to be better than the declared model to be named [BIC].
+
+    Errors of form give some gain over an exact model that explains the record. A model with an error takes them up.
+    """
+    return POLICY.min_gain_over_adequate if none.adequate and none.last.size is None else POLICY.min_gain
 
 
 def _is_twin(h: Hypothesis, best: Hypothesis) -> bool:
