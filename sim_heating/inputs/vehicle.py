@@ -299,7 +299,7 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
     if os.path.isfile(path / "vehicle.toml"):  # Path.is_file raises where a name is too long for the system
         return path
     text = os.fspath(vehicle)
-    if not {os.sep, "/"}.isdisjoint(text):
+    if os.sep in text or "/" in text:
         reason = "the directory has no vehicle.toml" if os.path.isdir(path) else "there is no such directory"
         raise InputError(f"{text}: not a vehicle; {reason}")
     for folder in vehicle_folders():

@@ -321,7 +321,8 @@ def _candidates_section(closure: Closure) -> Section:
     picture = Picture(
         partial(plots.ranking_figure, names, delta_bics, chosen), "Blue: added effects. The axis is linear within 10."
     )
-    return Section("Candidates", list(filter(None, [closure.false_alarm])), tables=[table], pictures=[picture])
+    text = [closure.false_alarm] if closure.false_alarm else []
+    return Section("Candidates", text, tables=[table], pictures=[picture])
 
 
 def _barred_section(closure: Closure) -> list[Section]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, cycle
 
 import numpy as np
 
@@ -310,8 +309,8 @@ def _fit_narrower(none: Hypothesis, wider: Hypothesis, models: Sequence[JointMod
     pairs = [(m, joint_model(m.cause, none.each, m.members, m.levels)) for m in models]
     values = {i: fitted_values(wider.each[i]) for i in wider.members}
     alone = {i: {**v, **wider.model.cause.values.get(i, {})} for i, v in values.items() if wider.model}
-    both = list(chain.from_iterable(pairs))
-    fitted = refit_models(both, [m.start(v) for m, v in zip(both, cycle((values, alone)), strict=False)])
+    starts = [m.start(v) for pair in pairs for m, v in zip(pair, (values, alone), strict=True)]
+    fitted = refit_models([m for pair in pairs for m in pair], starts)
     for pair in pairs:
         either = [x for x in fitted if x[0] in pair]
         best = max(either, key=lambda x: x[1].log_likelihood, default=None)

@@ -207,14 +207,15 @@ class Futures:
         trim : differences of the control surfaces that stay [deg]
         """
         begin = path.matching_time_s(frame.values)
-        there = {n: float(v[0]) for n, v in path.at(np.array([begin])).items()}
-        there.pop("time_s", None)
+        there = {n: float(v[0]) for n, v in path.at(np.array([begin])).items() if n != "time_s"}
         stays, returns = dict(trim), {}
-        apart = {n: frame.values.get(n, 0.0) - there[n] for n in there if n in {*frame.values, "jets"}}
-        for name in apart.keys() & {*COMMANDED, *(self.rates.keys() & {*SURFACES})}:
-            returns[name] = (apart[name], max(abs(apart[name]) / self.rates[name], SHORTEST_RETURN_S))
-        longest = max((over for _, over in returns.values()), default=SHORTEST_RETURN_S)
-        for name in apart.keys() - returns.keys():
+        apart = {n: frame.values.get(n, 0.0) - there[n] for n in there if n in frame.values or n == "jets"}
+        with_rate = {*COMMANDED, *(self.rates.keys() & {*SURFACES})}
+        commanded = {n: d for n, d in apart.items() if n in with_rate}
+        for name, difference in commanded.items():
+            returns[name] = (difference, max(abs(difference) / self.rates[name], SHORTEST_RETURN_S))
+        longest = max((over for value, over in returns.values() if value != 0.0), default=SHORTEST_RETURN_S)
+        for name in (n for n in apart if n not in commanded):
             if name in SURFACES:
                 returns[name] = (apart[name] - trim.get(name, 0.0), longest)
             else:

@@ -60,7 +60,7 @@ class FrameRemarks:
         table = CsvTable(columns, {}, Path(f"{self._file}, frames"), np.arange(1, len(frames) + 1))
         lines = implausible_values(table) or unusual_values(table)
         new = [line for line in lines if _column(line) not in self._told]
-        self._told.update(map(_column, new))
+        self._told |= {_column(line) for line in new}
         return new
 
 

@@ -152,12 +152,13 @@ class SensorTable:
     def predicted(self, i: int, point: LivePoint, state: PointEstimate, f: OnlineFilter) -> dict[str, SensorEstimate]:
         """What each sensor of a point ought to show, with its standard deviation; f : filter of the point."""
         estimates = {}
-        if not any((self._any_terms, self.curved, np.any(self.tau_s))):
+        if not self._any_terms and not self.curved and not np.any(self.tau_s):
             nodes = list(point.mesh.sensors)
             T_K, of_point = state.temperature_K[nodes], self.of_point[i]
             noise = np.hypot(self.sigma_K[of_point], self.per_K[of_point] * T_K)
-            shown = map(SensorEstimate, T_K.tolist(), np.hypot(state.sigma_K[nodes], noise).tolist())
-            return dict(zip((sensor.name for sensor in point.sensors), shown, strict=True))
+            sigma = np.hypot(state.sigma_K[nodes], noise).tolist()
+            pairs = zip(point.sensors, T_K.tolist(), sigma, strict=True)
+            return {sensor.name: SensorEstimate(T, sigma_K) for sensor, T, sigma_K in pairs}
         values = dict(zip(state.names, state.values.tolist(), strict=True))
         for k, (n, sensor) in enumerate(zip(self.of_point[i], point.sensors, strict=True)):
             node = point.mesh.sensors[k]

@@ -72,7 +72,7 @@ class Start:
         sigmas_K = [self._sensors.sigma_K[n] for _, n in sensors]
         exactly = declared, np.zeros((len(declared), len(declared)))
         agrees = apart_K <= START_AGREES * max([*sigmas_K, START_SIGMA_K / START_AGREES])
-        if {"declared": True, "auto": agrees}.get(self._options.start, False):
+        if self._options.start == "declared" or (self._options.start == "auto" and agrees):
             return exactly
         if not by_node:
             self._notices.tell(f"{point.name}: no reading to start from; the declared temperatures are taken")
