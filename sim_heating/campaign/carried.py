@@ -66,8 +66,9 @@ def read_carried(folder: Path) -> Carried:
     raises : InputError where its closure.json cannot be read
     """
     report = read_json(folder / NAME)
-    finding, sets = str(report["finding"]), tuple(map(tuple, report["alternatives"]))
-    conclusion = ": ".join(filter(None, (finding, " + ".join(map(" or ".join, sets)))))
+    finding, sets = str(report["finding"]), tuple(tuple(names) for names in report["alternatives"])
+    named = " + ".join(" or ".join(names) for names in sets)
+    conclusion = f"{finding}: {named}" if named else finding
     causes = "; ".join(f"{c['kind']}: {c['what']}" for c in report["not_effects"])
     if finding not in (FOUND, ONE_OF):
         doubt = "" if finding == NONE else f"closing the loop on the whole record ends with {conclusion}"
@@ -85,12 +86,12 @@ def read_carried(folder: Path) -> Carried:
 
 def _of_effect(name: str, estimated: Mapping[str, Any]) -> dict[str, Estimate]:
     """Estimates of a closure report that are of one effect, by dotted names; empty for an effect with another form."""
-    chosen = list[str]()
     if name == SKEW:
-        chosen = [*estimated.keys() & {CLOCK_SKEW.name}]
-    elif name in {*OF_SENSORS, *effects()}:
-        prefix = SENSOR_PREFIX if name in OF_SENSORS else f"{EFFECT_PREFIX}{name}."
-        chosen = [n for n in estimated if n.startswith(prefix)]
+        chosen = [n for n in estimated if n == CLOCK_SKEW.name]
+    elif name in OF_SENSORS:
+        chosen = [n for n in estimated if n.startswith(SENSOR_PREFIX)]
+    else:
+        chosen = [n for n in estimated if n.startswith(f"{EFFECT_PREFIX}{name}.")] if name in effects() else []
     return {n: (float(estimated[n]["value"]), float(estimated[n]["sigma"] or 0.0)) for n in chosen}
 
 

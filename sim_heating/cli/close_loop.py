@@ -63,7 +63,7 @@ def close_loop(
 
     directories = find_records(records, root)
     if joint:
-        if (scheduler, workers) != (None, None):
+        if scheduler is not None or workers is not None:
             raise InputError("--joint: the records are searched in one process; leave out --scheduler and --workers")
         _close_jointly(directories, out, parameters, root)
         return

@@ -227,14 +227,14 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int]
         rows = [(row, first + reader.line_num) for row in reader]
     except csv.Error as error:
         raise InputError(f"{display_path(path)}, row {first + reader.line_num}: is not CSV ({error})") from None
+    names = [name.strip() for name in rows[0][0]]
     if len(rows) < 2:
         raise InputError(
             f"{display_path(path)}: there are no rows below the column names; the file may have been cut off"
         )
     blank = [f"{display_path(path)}, row {line}: the row is blank; remove it" for row, line in rows if not row]
     raise_problems(_first_and_count(blank))
-    (names, *cells), (_, *lines) = zip(*rows, strict=True)
-    return list(map(str.strip, names)), cells, lines, _header(content[:first])
+    return names, [row for row, _ in rows[1:]], [line for _, line in rows[1:]], _header(content[:first])
 
 
 def header_entry(line: str) -> tuple[str, str]:
@@ -358,7 +358,7 @@ def csv_text(
     """
     arrays = {name: np.asarray(v) for name, v in columns.items()}
     texts = [_cell_texts(name, v, formats) for name, v in arrays.items()]
-    if len({*map(len, texts)}) > 1:
+    if len({len(c) for c in texts}) > 1:
         raise RunError(f"columns {', '.join(columns)} differ in length")
     stream = io.StringIO()
     stream.writelines(f"# {key}: {' '.join(str(value).split())}\n" for key, value in (header or {}).items())
