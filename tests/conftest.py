@@ -1,5 +1,5 @@
-"""What tests share: a hypothesis profile without a deadline, as the first call of a kernel compiles it; a workdir; the
-order of files and their distribution to processes."""
+"""What tests share: profiles of hypothesis without a deadline, as the first call of a kernel compiles it, a sample of
+examples and all of them; a workdir; the order of files and their distribution to processes."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Every search for cyclic garbage goes through the many objects of loaded modules: a seventh of the time of a picture.
 gc.set_threshold(50_000)
 
-settings.register_profile("compiled", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("compiled")
+settings.register_profile("whole", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("sample", settings.get_profile("whole"), max_examples=25)
+settings.load_profile("sample")
 
 BEGUN_FIRST = (
     "simulation/test_fmu_export.py",

@@ -144,6 +144,7 @@ def test_set_holds_every_class_and_any_first_part_of_it_holds_nearly_all_in_prop
     assert all(abs(tenth.count(name) - n / 10) <= 1 for name, n in CLASSES.items())
 
 
+@pytest.mark.thorough
 def test_a_kink_in_alpha_is_an_onset_of_impingement_beside_a_slope():
     curvature, onset = (next(f for f in EFFECTS if f.name == n) for n in ("alpha-curvature", "impingement-onset"))
     history = made_of("null").case.at(1.0)

@@ -111,6 +111,7 @@ def test_a_smooth_error_of_the_heating_is_no_cause():
     assert 0.015 < size.mean < 0.08
 
 
+@pytest.mark.thorough
 def test_innovations_of_an_error_in_arcs_scatter_more_and_speak_for_no_cause():
     """The statistic that one in 250 records with a slow error exceeds, and more of those whose error jumps."""
     rng = np.random.default_rng(3)
@@ -124,6 +125,7 @@ def test_innovations_of_an_error_in_arcs_scatter_more_and_speak_for_no_cause():
     assert with_simulated_p_value(judged, replace(adequacy, statistic=9.0)).p_value < POLICY.adequate_p
 
 
+@pytest.mark.thorough
 def test_errors_that_jump_have_the_covariance_of_those_that_change_slowly():
     fit = FitProblem([load_record(RECORDS / "practice" / "p06")], [], REFERENCE).record_fits[0]
     alike = Correlation(100.0)
@@ -226,7 +228,7 @@ def test_a_clock_may_be_off_whatever_the_uncertainty_it_states(stated_s):
     assert ("time_shift_s" in directions) is (stated_s > SKEW_SPAN_S)
 
 
-@pytest.mark.sample(1)
+@pytest.mark.thorough
 def test_evidence_counts_less_where_a_recorder_has_colour():
     """The same readings with first-order noise of 20 readings' memory, as large as the white noise of the recorder."""
     record = with_flight_uncertainty(load_record(RECORDS / "practice" / "p06"), velocity_relative=0.001)
