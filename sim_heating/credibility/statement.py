@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.files.text import first_of
 from sim_heating.credibility.evidence import Evidence, shipped_evidence
 from sim_heating.credibility.facts.contributors import Uncertainty
 from sim_heating.credibility.facts.sources import DeclaredInput
@@ -296,14 +297,13 @@ def _none_of(lacking: Sequence[DeclaredInput], key: str, inputs: Sequence[Declar
 
 def _some(names: Sequence[str], most: int = 4) -> str:
     """The first of some names, and how many more there are."""
-    unique = list(dict.fromkeys(names))
-    return ", ".join(unique[:most]) + (f" and {len(unique) - most} more" if len(unique) > most else "")
+    return first_of(list(dict.fromkeys(names)), most)
 
 
 def _verification_findings(facts: Facts, evidence: Evidence) -> dict[str, Answer]:
     topics = evidence.topics
     verified = {name for name, topic in topics.items() if topic.verified}
-    core = sorted(verified & {*CORE}, key=CORE.index)
+    core = [t for t in CORE if t in verified]
     rows = sum(topics[t].rows for t in facts.topics & topics.keys())
     uncovered = sorted(facts.topics - verified)
     error = facts.mesh_error_K

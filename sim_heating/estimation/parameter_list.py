@@ -20,6 +20,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.files import output_directory, write_json, write_text_atomic
+from sim_heating.base.files.text import first_of
 from sim_heating.base.parameters import (
     CLOCK_SKEW,
     EFFECT_PREFIX,
@@ -473,10 +474,7 @@ def parameter_tables(lists: Sequence[ParameterList]) -> list[Table]:
             if len(lists) == 1
             else f": all {len(lists)} control points"
             if len(points) == len(lists)
-            else (
-                f": {', '.join(points[:SHOWN_POINTS])}"
-                + (f" and {len(points) - SHOWN_POINTS} more" if len(points) > SHOWN_POINTS else "")
-            )
+            else f": {first_of(points, SHOWN_POINTS)}"
         )
         tables.append(Table(f"{owner[0].upper()}{owner[1:]}{where}", *_rows(listed, lists[0].record is not None)))
     return tables

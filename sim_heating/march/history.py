@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
+from sim_heating.base.files.text import first_of
 from sim_heating.base.kernels.lag import lag_columns
 from sim_heating.heating.ratio.lookup import NODE_SLACK
 from sim_heating.march.ensemble import Ensemble, histories
@@ -287,12 +288,6 @@ def _summary_of_band(history: PointHistory, *limits: float | None) -> dict[str, 
     return {"band": {**found, "sources_K": dict(history.band.sources)}}
 
 
-def _named(names: Sequence[str], shown: int | None) -> str:
-    """Some names and the number of the others; shown : how many are named, None for all."""
-    named = names if shown is None else names[:shown]
-    return ", ".join(named) + (f" and {len(names) - len(named)} more" if len(named) < len(names) else "")
-
-
 def range_lines(points: Mapping[str, Mapping[str, Any]], shown: int | None = None) -> list[str]:
     """Heating ratios [-] below 0, and variables that lay outside ratio tables: a line each, with all points of it.
 
@@ -302,7 +297,7 @@ def range_lines(points: Mapping[str, Mapping[str, Any]], shown: int | None = Non
     lines = []
     if negative:
         longest = f"{'up to ' if len(negative) > 1 else ''}{max(negative.values()):.0f} s"
-        lines.append(f"The heating ratio of {_named(list(negative), shown)} was negative for {longest}")
+        lines.append(f"The heating ratio of {first_of(list(negative), shown)} was negative for {longest}")
     outside: dict[str, dict[str, Mapping[str, Any]]] = {}
     for name, point in points.items():
         for o in point["outside_table"]:
@@ -310,7 +305,7 @@ def range_lines(points: Mapping[str, Mapping[str, Any]], shown: int | None = Non
     for variable, by_name in outside.items():
         longest_s, farthest = (max(o[key] for o in by_name.values()) for key in ("duration_s", "farthest"))
         lines.append(
-            f"{variable} lay outside the ratio tables of {_named(list(by_name), shown)}, up to {longest_s:.0f} s and "
+            f"{variable} lay outside the ratio tables of {first_of(list(by_name), shown)}, up to {longest_s:.0f} s and "
             f"{farthest:.3g} beyond; the edge value was held (details in summary.json)"
         )
     return lines
@@ -327,6 +322,6 @@ def rising_bondlines(points: Mapping[str, Mapping[str, Any]], shown: int | None 
     if not rising:
         return []
     return [
-        f"The bondline of {_named(rising, shown)} still rises at the end, and its margin is that so far: end the "
+        f"The bondline of {first_of(rising, shown)} still rises at the end, and its margin is that so far: end the "
         "flight later (`[trajectory.stop]`), or `plan` with `soak_s`"
     ]

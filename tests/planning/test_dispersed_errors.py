@@ -20,24 +20,14 @@ from sim_heating.planning.dispersion.results import first_order
 from sim_heating.planning.study import load_study
 from sim_heating.simulation.run import run
 from tests.support.paths import SCENARIOS
-from tests.support.studies import entry_3dof
+from tests.support.studies import pod_dispersion
 
 pytest.importorskip("pyarrow", reason="dispersions need pyarrow: pip install 'sim-heating[plan]'")
 
 P06 = SCENARIOS / "records" / "practice" / "p06"
 POINTS = ("V07T9975", "WING_LE")
 FLIGHTS = 512
-STUDY = f"""format = "study/1"
-title = "The error of the heating alone"
-vehicle = "orbiter"
-control_points = ["V07T9975", "WING_LE"]
-{entry_3dof("velocity_m_s = 5800.0", sample_s=2.0)}[dispersion]
-flights = {FLIGHTS}
-sampling = "random"
-scrambles = 2
-tables = 0.0
-quantiles = [0.5]
-"""
+STUDY = pod_dispersion("The error of the heating alone", FLIGHTS, 'sampling = "random"\n')
 ERROR = "model_error = true\n"
 
 

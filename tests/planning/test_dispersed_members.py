@@ -18,23 +18,14 @@ from sim_heating.planning.dispersion.input_checks import check_inputs
 from sim_heating.planning.study import load_study
 from sim_heating.trajectory.flight import conditions_from_rows
 from tests.support.paths import ROOT, SCENARIOS
-from tests.support.studies import entry_3dof
+from tests.support.studies import pod_dispersion
 
 pytest.importorskip("pyarrow", reason="dispersions need pyarrow: pip install 'sim-heating[plan]'")
 
 POINT = "V07T9975"
 FLIGHTS = 64
 SCALES = {"hot": 0.06, "cold": 0.05}
-STUDY = f"""format = "study/1"
-title = "Two estimates of one pod"
-vehicle = "orbiter"
-control_points = ["{POINT}", "WING_LE"]
-{entry_3dof("velocity_m_s = 5800.0", sample_s=2.0)}[dispersion]
-flights = {FLIGHTS}
-scrambles = 2
-tables = 0.0
-quantiles = [0.5]
-"""
+STUDY = pod_dispersion("Two estimates of one pod", FLIGHTS)
 
 
 def study_with(tmp_path: Path, weights: dict[str, float], inputs: str = "") -> Path:

@@ -26,6 +26,23 @@ longitude_deg = 170.0
 """
 
 
+def pod_dispersion(title: str, flights: int, more: str = "") -> str:
+    """A study of dispersed peaks at a pod tile and the wing leading edge, without errors of the ratio tables.
+
+    more : of its [dispersion]
+    """
+    return f"""format = "study/1"
+title = "{title}"
+vehicle = "orbiter"
+control_points = ["V07T9975", "WING_LE"]
+{entry_3dof("velocity_m_s = 5800.0", sample_s=2.0)}[dispersion]
+flights = {flights}
+{more}scrambles = 2
+tables = 0.0
+quantiles = [0.5]
+"""
+
+
 def finished_batches(out: Path) -> dict[Path, int]:
     """Results in the ledger of a study that have their digest, with their times of writing.
 

@@ -23,12 +23,14 @@ from sim_heating.base.errors import InputError, LeftOutWarning, RunError
 from sim_heating.base.files import transaction
 from sim_heating.base.files.paths import display_path, file_digest, has_digest, real_path, text_digest
 from sim_heating.base.files.provenance import results_from, with_provenance
-from sim_heating.base.files.text import abbreviated, as_builtin, read_text, write_text_atomic
+from sim_heating.base.files.text import abbreviated, as_builtin, first_of, read_text, write_text_atomic
 
 LOG = logging.getLogger(__name__)
 MARKER = ".sim_heating.json"
 """File of an output directory that lists the files this program wrote there, with their digests."""
 MARKER_FORMAT = "sim_heating-output/2"
+MOST_NAMED = 6
+"""Names of files that a message has at most."""
 OR_FORCE = ", or replace what is there with --force"
 """End of a message about files that others wrote, which every command that writes has the option for."""
 REPLACE_OTHERS = "SIM_HEATING_REPLACE_OTHERS"
@@ -83,7 +85,7 @@ def finite_json(data: Mapping[str, Any]) -> Mapping[str, Any]:
     entries = list(_not_finite(data, ""))
     if not entries:
         return data
-    warnings.warn(f"left out as not finite: {_listed(entries)}", LeftOutWarning, stacklevel=3)
+    warnings.warn(f"left out as not finite: {first_of(entries, MOST_NAMED)}", LeftOutWarning, stacklevel=3)
     return {**_with_null(data), LEFT_OUT: entries}
 
 
@@ -229,7 +231,7 @@ def output_directory(
 def _warn_of_replaced(target: Path, names: list[str], command: str) -> None:
     """Warn of files that were replaced although others had written or changed them."""
     warnings.warn(
-        f"{display_path(target)}: replaced {_listed(names)}, which `{command}` had not written, or not so",
+        f"{display_path(target)}: replaced {first_of(names, MOST_NAMED)}, which `{command}` had not written, or not so",
         stacklevel=4,
     )
 
@@ -387,11 +389,6 @@ def _others(target: Path, command: str, replaced: Iterable[str]) -> list[str]:
     marker = _read_marker(target)
     listed = marker[1] if marker is not None and marker[0] == command else {}
     return [n for n in sorted(set(replaced) - {MARKER}) if not has_digest(target / n, listed.get(n, ""))]
-
-
-def _listed(names: list[str]) -> str:
-    """Names of files in a sentence: the first six, and how many there are."""
-    return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:6])} and {len(names) - 6} more"
 
 
 def _refuse_inputs(target: Path, inputs: Iterable[str | os.PathLike[str] | None]) -> None:

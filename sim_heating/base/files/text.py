@@ -66,8 +66,13 @@ def suggestion(name: str, choices: Iterable[str], otherwise: str | None = None, 
         return f"; did you mean `{near}`?"
     if otherwise is not None:
         return otherwise
-    rest = f" and {len(names) - NAMES_LISTED} more" if len(names) > NAMES_LISTED else ""
-    return f"; known: {', '.join(f'`{n}`' for n in names[:NAMES_LISTED]) or 'none'}{rest}"
+    return f"; known: {first_of([f'`{n}`' for n in names], NAMES_LISTED) or 'none'}"
+
+
+def first_of(names: Sequence[str], most: int | None) -> str:
+    """The first of some names with commas, and how many more there are; all of them where `most` is None."""
+    named = names[:most]
+    return ", ".join(named) + (f" and {len(names) - len(named)} more" if len(named) < len(names) else "")
 
 
 def repeated_name(names: Sequence[str]) -> str | None:

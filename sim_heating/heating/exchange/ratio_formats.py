@@ -207,8 +207,7 @@ def _read_netcdf(path: Path) -> RatioTable:
     for n in (RATIO, SIGMA):
         if n in data:
             columns[n] = np.asarray(data[n].transpose(*RATIO_VARIABLES), dtype=float).ravel()
-    data.attrs.pop("Conventions", None)
-    header = {str(k): " ".join(str(v).split()) for k, v in data.attrs.items()}
+    header = {str(k): " ".join(str(v).split()) for k, v in data.attrs.items() if k != "Conventions"}
     return table_of_text(path, csv_text(columns, None, header))
 
 
