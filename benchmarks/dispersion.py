@@ -136,7 +136,7 @@ def _parts(entry: DispersedEntry) -> dict[str, float]:
         entry.march(flown, deviation, z, kept)
         t2 = time.process_time()
         time_s = lanes.times(int(flown.frame_counts.max()))
-        histories = np.empty((len(lanes.points), LANES, len(time_s), kept[0][1].shape[-1]))
+        histories = np.empty((len(lanes.stepped), LANES, len(time_s), kept[0][1].shape[-1]))
         condition_kernel(flown.rows, flown.frame_counts, lanes.host, lanes.constants, lanes.soak, time_s, histories)
         lanes.ensemble.reset()
         t3 = time.process_time()

@@ -11,7 +11,7 @@ from scipy.stats import kstest, sobol_indices
 
 from sim_heating.base.errors import InputError
 from sim_heating.heating.ratio.uncertainty import node_weights, prior_covariance
-from sim_heating.inputs.points import conditions_at_point
+from sim_heating.inputs.points import conditions_at_point, conditions_behind_walls
 from sim_heating.march.history import march_points
 from sim_heating.planning.dispersion.entry import BATCH, DIFFERENCE, SOBOL, Batch, DispersedEntry
 from sim_heating.planning.dispersion.flight import COMPLETED, LEFT_ATMOSPHERE, entry_with_deviations
@@ -45,7 +45,7 @@ STUDY = """
 format = "study/1"
 title = "a few dispersed entries"
 vehicle = "orbiter"
-control_points = ["NOSECAP", "V09T9527"]
+control_points = {names}
 soak_s = 600.0
 {entry}{limits}
 [dispersion]
@@ -88,7 +88,8 @@ sigma = 400.0
 
 def study_of(tmp_path, inputs="", **given):
     flown = entry_3dof("mach = 2.5", **{k: given.pop(k) for k in ("altitude_m", "velocity_m_s") if k in given})
-    keys = {"flights": 64, "tables": 0.0, "limits": "", "more": ""} | given
+    names = '["NOSECAP", "V09T9527"]'
+    keys = {"flights": 64, "tables": 0.0, "limits": "", "more": "", "names": names} | given
     path = tmp_path / "study.toml"
     path.write_text(STUDY.format(entry=flown, inputs=inputs, **keys))
     return load_study(path)
@@ -293,6 +294,28 @@ def test_peaks_are_those_of_the_programs_march_along_the_same_flight(tmp_path):
             history = march_points([model], [along], longest_step_s=4.0)[0]
             assert peaks.surface_K[i, p] == pytest.approx(history.surface_K.max(), abs=0.05)
             assert peaks.bondline_K[i, p] == pytest.approx(history.bondline_K.max(), abs=0.05)
+
+
+CAP = '[[dispersion.input]]\nname = "stack.emissivity_factor"\nsigma = 0.1\ncontrol_points = ["NOSECAP"]\n'
+
+
+@pytest.mark.parametrize("points", ['["NOSE_HRSI"]', '["NOSE_HRSI", "NOSECAP"]'])
+def test_a_tile_behind_the_nose_cap_is_heated_as_run_has_it(tmp_path, points):
+    """The cap upstream of the interface is marched first, whether it is a point of the study or not."""
+    has_cap = "NOSECAP" in points
+    entry = entry_of(tmp_path, CAP if has_cap else "", names=points)
+    z = np.linspace(-1.0, 1.0, TOGETHER)[:, np.newaxis] * np.ones((1, entry.dimensions))
+    peaks = entry.march(entry.planned, deviations(entry.inputs, z), z)
+    vehicle, (tile, *_) = entry.study.vehicle, entry.points
+    flown = conditions_from_rows(entry.planned.rows[0, : entry.planned.frame_counts[0]], vehicle.reference_length_m)
+    model = replace(entry.lanes.models[0], nodes=entry.meshes[0].nodes)
+    at_walls = [conditions_behind_walls(vehicle, [tile.point], flown)[0], conditions_at_point(vehicle, tile.point, flown)]
+    behind, alone = (march_points([model], [c], longest_step_s=4.0)[0].surface_K.max() for c in at_walls)
+    assert entry.planned_peaks[0, 0, 0] == pytest.approx(behind, abs=0.1)
+    assert behind > alone + 1.0
+    # A cap that radiates more is colder, and the layer that it leaves heats the tile less.
+    of_tile = peaks.surface_K[:, 0]
+    assert np.all(np.diff(of_tile) < 0.0) if has_cap else np.ptp(of_tile) == 0.0
 
 
 TRANSITION = """

@@ -5,7 +5,7 @@ by the 3-DOF entry, or in six degrees of freedom. Guidance, schedules and body f
 met by the bank and the elevon.
 
 The file follows one flight (deviations, atmosphere, names of the inputs), then the sampler that flies many, then the
-kernels: one integrates the flights, one derives the conditions of all control points along them, two find extremes.
+kernels: one integrates the flights, two derive the conditions of all control points along them, two find extremes.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import H_REF, N_CONDITIONS, P_SURFACE, SURROUNDINGS, TIME
+from sim_heating.base.kernels.block import H_REF, N_CONDITIONS, P_SURFACE, SURROUNDINGS, TIME, UPSTREAM
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.kernels.operations import pointer
 from sim_heating.heating.atmosphere import HIGHEST_M
+from sim_heating.heating.interface import upstream_enthalpy
 from sim_heating.planning.dispersion.spec import DispersedInput
 from sim_heating.simulation.plugin_kernel import PointConstants, derive_conditions
 from sim_heating.trajectory import guidance as gd
@@ -376,6 +377,18 @@ def condition_kernel(
                 for c in range(N_CONDITIONS):
                     histories[p, f, k, c] = then[p, c]
         then[:, SURROUNDINGS] = 0.0
+
+
+@njit
+def upstream_wall_kernel(outputs: FloatArray, cp_J_kgK: float, history: FloatArray) -> None:
+    """Write the enthalpy of air at the wall upstream of a point's interface into the conditions of the point.
+
+    outputs  : (time, 2 flight) surface and bondline of that wall [K], the quantities of the first flight, of the second
+    cp_J_kgK : of that air [J/(kg K)], 0 for equilibrium air;  history : (flight, time, condition) of the point
+    """
+    for f in range(len(history)):
+        for k in range(len(outputs)):
+            history[f, k, UPSTREAM] = upstream_enthalpy(outputs[k, 2 * f], history[f, k, P_SURFACE], cp_J_kgK)
 
 
 @njit

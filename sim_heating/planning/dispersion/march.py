@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from graphlib import TopologicalSorter
 
 import numpy as np
 
@@ -28,9 +29,9 @@ from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.lookup import VARIABLES
 from sim_heating.inputs.points import point_of_vehicle
-from sim_heating.inputs.vehicle import Vehicle
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle, upstream_point
 from sim_heating.march.ensemble import Ensemble
-from sim_heating.march.mesh_choice import TOLERANCE_K
+from sim_heating.march.mesh_choice import TOLERANCE_K, choose_meshes
 from sim_heating.march.point import PointModel, heating_vector, kernel_effects, stack_values
 from sim_heating.planning.dispersion.flight import (
     COMPLETED,
@@ -38,10 +39,12 @@ from sim_heating.planning.dispersion.flight import (
     condition_kernel,
     extent_kernel,
     peak_kernel,
+    upstream_wall_kernel,
 )
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.soak import SOAK
-from sim_heating.simulation.plugin import host_array, point_constants
+from sim_heating.simulation.plugin import host_array, point_constants, walls_upstream
+from sim_heating.simulation.plugin_kernel import UPSTREAM_CP
 from sim_heating.thermal.mesh import Mesh
 
 QUANTITIES = ("surface_K", "bondline_K")
@@ -101,8 +104,9 @@ class LaneMarch:
     step_s  : of the march, and between the kept frames of flights [s]
     soak_s  : after the end of each flight [s]
 
-    Attributes: `host` and `constants`, by which conditions follow from frames; `soak`,
-    (3,) h_ref [kg/(m2 s)], p_surface [Pa] and surroundings [K] after the flight.
+    Attributes: `models` of the points; `stepped`, these and behind them the walls upstream of interfaces that are no
+    points of the study, as the vehicle declares them; `host` and `constants`, by which conditions follow from frames;
+    `soak`, (3,) h_ref [kg/(m2 s)], p_surface [Pa] and surroundings [K] after the flight.
     """
 
     def __init__(
@@ -115,9 +119,14 @@ class LaneMarch:
         soak_s: float,
     ) -> None:
         self.points, self.step_s, self.soak_s = tuple(points), step_s, soak_s
-        self.models = list(models)
+        limited = [p.point for p in points]
+        walls = walls_upstream(vehicle, limited)
+        of_walls = [_without_sensors(point_of_vehicle(vehicle, wall)) for wall in walls]
+        self.models, self.stepped = list(models), [*models, *of_walls]
+        meshes = [*meshes, *(mesh for mesh, _ in choose_meshes(of_walls, step_s))]
+        self._upstream = _numbers_upstream(vehicle, [*limited, *walls])
         # Each lane has a copy of the ratio table, whose nodes are written before every march.
-        lanes = [_with_own_table(m) for m in self.models for _ in range(LANES)]
+        lanes = [_with_own_table(m) for m in self.stepped for _ in range(LANES)]
         # Packed once for the whole study; every march restores the initial state and writes what is dispersed.
         self.ensemble = Ensemble(
             lanes,
@@ -126,21 +135,22 @@ class LaneMarch:
             tolerance_K=STEP_TOLERANCE_K,
         )
         self._initial_state = self.ensemble.snapshot()
-        self._groups = [self.ensemble.lane_offsets[p * LANES].group for p in range(len(points))]
-        self._lanes = [self.ensemble.writer.lanes_of(range(p * LANES, (p + 1) * LANES)) for p in range(len(points))]
+        numbers = range(len(self.stepped))
+        self._groups = [self.ensemble.lane_offsets[p * LANES].group for p in numbers]
+        self._lanes = [self.ensemble.writer.lanes_of(range(p * LANES, (p + 1) * LANES)) for p in numbers]
         self._declared = tuple(
-            [np.repeat(values(m)[np.newaxis], LANES, axis=0) for m in self.models]
+            [np.repeat(values(m)[np.newaxis], LANES, axis=0) for m in self.stepped]
             for values in (stack_values, heating_vector)
         )
-        self._tables = [self._ratio_nodes(p) for p in range(len(points))]
+        self._tables = [self._ratio_nodes(p) for p in numbers]
         self.host = host_array(vehicle)
-        self.constants = point_constants(vehicle, [p.point for p in points])
+        self.constants = point_constants(vehicle, [*limited, *walls])
         self.soak = np.array(list(SOAK.values()))
-        self._outputs = self.ensemble.outputs().reshape(len(points), 2 * LANES)
+        self._outputs = self.ensemble.outputs().reshape(len(self.stepped), 2 * LANES)
         self._memory = np.empty(0)
 
     def _ratio_nodes(self, p: int) -> _RatioNodes:
-        ratio, J = self.models[p].ratio, self.ensemble.memory.integers(self._groups[p])
+        ratio, J = self.stepped[p].ratio, self.ensemble.memory.integers(self._groups[p])
         if ratio is None:
             return _RatioNodes(np.zeros(0), J[RATIO_TABLE : RATIO_TABLE + LANES].copy())
         behind_axes = VARIABLES + sum(len(a) for a in ratio.axes)
@@ -210,17 +220,17 @@ class LaneMarch:
             lanes = histories.reshape(-1, *histories.shape[2:])  # point by point, as the ensemble has them
             self.ensemble.check_effects(time_s, lanes, range(len(lanes)))
         if keep is not None:
-            keep += [(out, history.copy()) for out, history in zip(marched, histories, strict=True)]
+            keep += [(out, h.copy()) for _, out, h in zip(self.points, marched, histories, strict=False)]
 
         in_use = slice(0, last - first)
         counts = self._sample_counts(time_s, frame_counts)
         # Lanes march as long as the longest flight of the eight: each counts to the end of its own soak.
-        hottest = np.empty((len(marched), last - first, len(QUANTITIES)))
-        for out, peaks in zip(marched, hottest, strict=True):
+        hottest = np.empty((len(self.points), last - first, len(QUANTITIES)))
+        for out, peaks in zip(marched, hottest, strict=False):
             peak_kernel(out, counts, peaks)
         surface, bondline = (hottest[:, :, k].T.copy() for k in range(len(QUANTITIES)))
         by_point = self.ensemble.counters.failures, self.ensemble.counters.steps_of_negative_ratio
-        failed, negative = (steps.reshape(-1, LANES).T[in_use] > 0.0 for steps in by_point)
+        failed, negative = (steps.reshape(-1, LANES).T[in_use, : len(self.points)] > 0.0 for steps in by_point)
         # A peak of a flight that did not reach its stop would be too low; NaN counts as above every limit.
         unknown = failed | (flown.outcome[lane[in_use]] != COMPLETED)[:, np.newaxis]
         surface[unknown], bondline[unknown] = np.nan, np.nan
@@ -231,13 +241,17 @@ class LaneMarch:
     def march_all(self, time_s: FloatArray, histories: FloatArray) -> list[FloatArray]:
         """March every point from its present state along histories (point, LANES, time, condition).
 
+        A wall upstream of an interface comes first; the conditions of a point behind it receive its enthalpy.
+
         returns : for each point (time, 2 LANES) temperatures [K]: surface and bondline of the first lane, of the second
         """
-        flights = np.arange(LANES)
-        return [
-            self.ensemble.march_lanes(group, time_s, history, flights, SOAK_STEP_S, outputs)
-            for group, history, outputs in zip(self._groups, histories, self._outputs, strict=True)
-        ]
+        flights, marched = np.arange(LANES), dict[int, FloatArray]()
+        for p in TopologicalSorter(self._upstream).static_order():
+            for wall in self._upstream[p]:
+                upstream_wall_kernel(marched[wall], self.constants.numbers[p, UPSTREAM_CP], histories[p])
+            group, outputs = self._groups[p], self._outputs[p]
+            marched[p] = self.ensemble.march_lanes(group, time_s, histories[p], flights, SOAK_STEP_S, outputs)
+        return [marched[p] for p in range(len(self.stepped))]
 
     def times(self, frames: int) -> FloatArray:
         """(time,) frames of the longest flight, then its soak, at first in steps of the flight [s]."""
@@ -257,7 +271,7 @@ class LaneMarch:
 
         Allocating some MB for every eight flights would cost more than filling them.
         """
-        shape = (len(self.points), LANES, samples, N_CONDITIONS)
+        shape = (len(self.stepped), LANES, samples, N_CONDITIONS)
         size = math.prod(shape)
         # Allocated once: returned after each batch, the memory would be cleared by the system again, at a cost in
         # processor time.
@@ -270,12 +284,12 @@ class LaneMarch:
         for entry, deviation in changes:
             vectors = stacks if entry.vector == "stack" else heating
             vectors[entry.point][:, entry.index] += deviation[lane]
-        for p in range(len(self.points)):
-            self.ensemble.writer.write_lanes(self.ensemble.state, self._lanes[p], stacks[p], heating[p])
+        for p, lanes in enumerate(self._lanes):
+            self.ensemble.writer.write_lanes(self.ensemble.state, lanes, stacks[p], heating[p])
 
     def _write_ratio_tables(self, factors: Sequence[FloatArray | None], lane: IntArray) -> None:
         table = self.ensemble.table
-        for nodes, factor in zip(self._tables, factors, strict=True):
+        for nodes, factor in zip(self._tables, factors, strict=False):  # tables of walls upstream stay as they are
             for k, first in enumerate(nodes.first.tolist()):
                 scaled = nodes.declared * (1.0 if factor is None else factor[:, lane[k]])
                 table[first : first + len(scaled)] = scaled
@@ -293,4 +307,15 @@ def _scale_heating(history: FloatArray, frame_counts: IntArray, knots_s: FloatAr
 
 def model_without_sensors(vehicle: Vehicle, limited: LimitedPoint, effects: Sequence[EffectUse]) -> PointModel:
     """Model of a control point without its sensors, whose nodes a peak does not need."""
-    return replace(point_of_vehicle(vehicle, limited.point, effects=tuple(effects)), depths_m=(), lags_s=(), nodes=None)
+    return _without_sensors(point_of_vehicle(vehicle, limited.point, effects=tuple(effects)))
+
+
+def _without_sensors(model: PointModel) -> PointModel:
+    return replace(model, depths_m=(), lags_s=(), nodes=None)
+
+
+def _numbers_upstream(vehicle: Vehicle, points: Sequence[ControlPoint]) -> dict[int, list[int]]:
+    """Number of each point -> that of the wall upstream of its interface; none for a point without one."""
+    number = {point.name: i for i, point in enumerate(points)}
+    upstream = [upstream_point(vehicle, point) for point in points]
+    return {i: [] if wall is None else [number[wall.name]] for i, wall in enumerate(upstream)}

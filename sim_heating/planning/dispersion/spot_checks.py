@@ -14,7 +14,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.kernels.block import LANES
-from sim_heating.inputs.points import conditions_at_point
+from sim_heating.inputs.points import conditions_behind_walls
 from sim_heating.march.history import march_points
 from sim_heating.planning.dispersion.entry import DispersedEntry
 from sim_heating.planning.dispersion.flight import AERO_FACTORS, entry_with_deviations
@@ -89,7 +89,7 @@ def _six_dof(entry: DispersedEntry, changes: dict[str, float]) -> FloatArray:
         flown = jsbsim.fly(spec, vehicle).conditions
     except RunError:
         return np.full((len(QUANTITIES), len(entry.points)), np.nan)
-    points = [p.point for p in entry.points]
-    flights = [with_soak(conditions_at_point(vehicle, p, flown), soak_s) for p in points]
-    marched = march_points(entry.lanes.models, flights)
+    models, points = entry.lanes.models, [p.point for p in entry.points]
+    at_points = conditions_behind_walls(vehicle, points, flown, {m.name: m for m in models})
+    marched = march_points(models, [with_soak(c, soak_s) for c in at_points])
     return np.array([[np.max(h.surface_K) for h in marched], [np.max(h.bondline_K) for h in marched]])

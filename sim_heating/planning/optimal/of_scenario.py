@@ -16,7 +16,7 @@ import numpy as np
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import display_path
-from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.points import conditions_behind_walls, point_of_vehicle
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.march.history import march_points
 from sim_heating.planning.optimal.spec import OptimalStudyFile, tabulated_alpha_deg
@@ -113,7 +113,7 @@ def _limits(
     """Entries of `limit`, and why some of them are above the vehicle's own limits."""
     vehicle, soak_s = scenario.vehicle, float(OptimalStudyFile.model_fields["soak_s"].default)
     points = [vehicle.control_point(name) for name in names]
-    flights = [with_soak(conditions_at_point(vehicle, p, flown), soak_s) for p in points]
+    flights = [with_soak(c, soak_s) for c in conditions_behind_walls(vehicle, points, flown)]
     limits, above = list[dict[str, Any]](), dict[str, dict[str, str]]()
     for point, history in zip(
         points, march_points([point_of_vehicle(vehicle, p) for p in points], flights), strict=True

@@ -25,7 +25,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import RunError
 from sim_heating.heating.atmosphere import G0_M_S2
-from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.points import conditions_behind_walls, point_of_vehicle
 from sim_heating.march.history import PointHistory, march_points, table_excursions
 from sim_heating.march.point import PointModel
 from sim_heating.planning.limited_point import LimitedPoint
@@ -199,8 +199,8 @@ class EntrySearch:
             return []
         vehicle, soak_s = self.study.vehicle, self.study.declared.soak_s
         points = [p.point for p in self.study.points]
-        flights = [with_soak(conditions_at_point(vehicle, p, flown), soak_s) for p in points]
-        return march_points(models, flights)
+        at_points = conditions_behind_walls(vehicle, points, flown, {m.name: m for m in models})
+        return march_points(models, [with_soak(c, soak_s) for c in at_points])
 
     def peaks(self, histories: Sequence[PointHistory]) -> tuple[PeakTemperatures, ...]:
         """Peaks of marched points with their limits."""
