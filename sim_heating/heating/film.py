@@ -206,9 +206,10 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage:
     B, J  : block of the lane group and its integers; rows FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2],
             PCOL, PFRAC, AIR_PLACE [-] of the stage are written, OUTSIDE counts samples off the axes of the ratio table
     table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
+    FILM is without effects that depend on the wall temperature: the surface evaluates these, and writes it.
     Source: docs/theory/equations.md, equations 5 to 8.
     """
-    heat_perturbed_lanes(B, J, table, dispatcher, stage)
+    _heat(B, J, table, dispatcher, stage, False)
     c = k.C_STAGES * LANES + stage * LANES * k.N_CONDITIONS
     for lane in range(LANES):
         B[(k.CELL_X + PRESSURE) * LANES + lane] = B[c + (lane * k.N_CONDITIONS + k.P_SURFACE)]
@@ -225,15 +226,19 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage:
 
 @njit
 def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:
-    """Film coefficient, recovery enthalpy and added flux of all lanes at one stage, without pressure columns.
+    """Film coefficient, recovery enthalpy and added flux of perturbed lanes, whose pressure is that of their nominal one.
 
     B, J  : block of the lane group and its integers; rows R_BASE [-], FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2]
-            of the stage are written, NEGATIVE counts the end-of-step ratios below 0
+            of the stage are written, all effects at the present wall temperatures
     table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
-    Used alone for perturbed lanes, whose pressure is that of their nominal lane. FILM of stage 1 is without effects
-    that depend on the wall temperature, but in a group with gaps.
     Source: docs/theory/equations.md, equations 5 to 8 and 6b, film = r h_ref.
     """
+    _heat(B, J, table, dispatcher, stage, True)
+
+
+@njit
+def _heat(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, at_wall: bool) -> None:
+    """Heating of all lanes at one stage, without pressure columns; at_wall : whether with effects that depend on it."""
     table_ratios(B, J, table, stage)
     for lane in range(LANES):
         c = k.C_STAGES * LANES + (stage * LANES + lane) * k.N_CONDITIONS
@@ -245,8 +250,7 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
             r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, 0, first)
             # Effects that depend on the wall temperature are evaluated again, from here, at every Newton iterate.
             B[(k.R_BASE + stage) * LANES + lane] = r
-            # Of the middle of a step only gaps read the film with them: the surface evaluates them itself.
-            if stage != 1 or J[k.GAPS] == 1:
+            if at_wall:
                 r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, J[k.N_EFFECTS + lane])
             H_r += _recovery_rise(B, J, lane, c, p)
             _keep_past_onset(B, J, lane, stage, c, p)
@@ -272,5 +276,3 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
             decades = log10(B[c + k.P_SURFACE]) - LOG10_SEA_LEVEL_PA
             natural = B[k.NATURAL * LANES + lane] * exp(2.0 * n * LN_10 * decades)
             B[(k.STAGE_NATURAL + stage) * LANES + lane] = natural
-        if stage == 2:
-            B[k.NEGATIVE * LANES + lane] += 1.0 if r < 0.0 else 0.0

@@ -56,6 +56,7 @@ from sim_heating.base.kernels.block import (
     WALL_COLUMN,
     WALL_HIGH,
     WALL_LOW,
+    WALL_SLOPE,
     T,
 )
 from sim_heating.base.kernels.elementary import LN_10, exp, lanes_outside, log10
@@ -78,18 +79,26 @@ reported as a failure since its update is NaN too."""
 
 
 @inline_always
-def _film_and_slope(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float) -> tuple[float, float]:
-    """Film coefficient [kg/(m2 s)] of a lane whose effects depend on the wall temperature, and its slope against it."""
+def _film_and_slope(
+    B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float, keeps_slope: bool
+) -> tuple[float, float]:
+    """Film coefficient [kg/(m2 s)] of a lane whose effects depend on the wall temperature, and its slope against it.
+
+    keeps_slope : whether the slope of the ratio is that of the evaluation before
+    """
     h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
     h_ref *= B[(STEP_FACTOR + stage) * LANES + lane]
     r = B[(R_BASE + stage) * LANES + lane]
     first, end = J[FIRST_AT_WALL + lane], J[N_EFFECTS + lane]
-    above = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K, first, end)
-    below = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall - WALL_DIFFERENCE_K, first, end)
-    at_wall = 0.5 * (above + below)
-    if J[LAG_SLOT + lane] != NONE:  # its state has to be left at the wall's own temperature
+    at_wall = 0.0
+    if not keeps_slope:
+        above = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K, first, end)
+        below = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall - WALL_DIFFERENCE_K, first, end)
+        at_wall = 0.5 * (above + below)
+        B[WALL_SLOPE * LANES + lane] = (above - below) * (0.5 / WALL_DIFFERENCE_K)
+    if keeps_slope or J[LAG_SLOT + lane] != NONE:  # the state of a lag has to be left at the wall's own temperature
         at_wall = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, end)
-    return h_ref * at_wall, h_ref * (above - below) * (0.5 / WALL_DIFFERENCE_K)
+    return h_ref * at_wall, h_ref * B[WALL_SLOPE * LANES + lane]
 
 
 @inline_always
@@ -173,15 +182,20 @@ def invalidate_walls(B: FloatArray) -> None:
 
 
 @njit
-def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:
+def evaluate_faces(
+    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, keeps_slope: bool = False
+) -> None:
     """Heat from outside [W/m2] and its slope [W/(m2 K)] at surface, back and gaps, at the present temperatures.
 
-    B     : block of the lane group; SOURCE and SLOPE of the nodes concerned change
-    stage : 0, 1 or 2; start, middle and end of a step, whose film coefficients and recovery enthalpies are used
+    B           : block of the lane group; SOURCE and SLOPE of the nodes concerned change, and FILM of the stage where
+                  effects depend on the wall temperature
+    stage       : 0, 1 or 2; start, middle and end of a step, whose film coefficients and recovery enthalpies are used
+    keeps_slope : whether the slope of such effects is that of the evaluation before, at a temperature close by: it
+                  changes the way to the solution of a step alone, and is two thirds of what they cost
 
     Source: docs/theory/equations_thermal_step.md, equations 14 to 18.
     """
-    evaluate_surface(B, J, table, dispatcher, stage)
+    evaluate_surface(B, J, table, dispatcher, stage, keeps_slope)
     evaluate_back(B, J, stage)
     if J[GAPS] == 1:
         _evaluate_gaps(B, J, table, stage)
@@ -297,12 +311,14 @@ def _cache_walls(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> N
 
 
 @inline_always
-def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:
+def evaluate_surface(
+    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, keeps_slope: bool
+) -> None:
     """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)], of all lanes.
 
         s_0 = (1 - f) film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4)
 
-    stage : 0, 1 or 2, whose conditions are used;  dispatcher : address of the effect dispatcher
+    stage : 0, 1 or 2, whose conditions are used;  dispatcher, keeps_slope : as in `evaluate_faces`
 
     A negative film coefficient, from a negative ratio, is not clipped.
     Source: docs/theory/equations_thermal_step.md, equations 14 and 17.
@@ -317,7 +333,7 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, 
     # Evaluated without effects above, then again where there are any: the loop without calls stays vectorised.
     if affected > 0:
         for lane in range(LANES):
-            _balance_with_effects(B, J, dispatcher, lane, stage)
+            _balance_with_effects(B, J, dispatcher, lane, stage, keeps_slope)
     _add_still_air(B, stage)
 
 
@@ -341,7 +357,9 @@ def _add_still_air(B: FloatArray, stage: int) -> None:
 
 
 @inline_always
-def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int) -> None:
+def _balance_with_effects(
+    B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, keeps_slope: bool
+) -> None:
     """Surface balance of a lane with effects on its emittance, or with effects that depend on the wall temperature."""
     # The first guess of a stage is extrapolated and may be below 0 K, where the rates of an effect are no numbers.
     wall = max(B[(HEAD_ROWS + T) * LANES + lane], COLDEST_K)
@@ -351,7 +369,8 @@ def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, sta
         eps, eps_slope = eps * factor, eps_slope * factor + eps * factor_slope
     film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
     if J[N_EFFECTS + lane] > J[FIRST_AT_WALL + lane]:
-        film, film_slope = _film_and_slope(B, J, dispatcher, lane, stage, wall)
+        film, film_slope = _film_and_slope(B, J, dispatcher, lane, stage, wall, keeps_slope)
+        B[(FILM + stage) * LANES + lane] = film
     _write_surface_balance(B, lane, stage, eps, eps_slope, film, film_slope)
 
 

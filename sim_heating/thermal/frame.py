@@ -271,7 +271,6 @@ def _divide_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt:
     for lane in range(LANES):
         # The single step has counted the end of the frame; ends of its parts are not counted.
         B[COUNTED * LANES + lane] = B[OUTSIDE * LANES + lane]
-        B[(COUNTED + 1) * LANES + lane] = B[NEGATIVE * LANES + lane]
         B[DONE * LANES + lane] = 0.0
     _settle_lanes(B, J[N_NODES], dt, float(FINEST))
     begin, length = 0, FINEST // 2
@@ -293,7 +292,13 @@ def _divide_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt:
         for row in STAGE_ROWS:
             B[(row + 2) * LANES + lane] = B[row * LANES + lane]
         B[OUTSIDE * LANES + lane] = B[COUNTED * LANES + lane]
-        B[NEGATIVE * LANES + lane] = B[(COUNTED + 1) * LANES + lane]
+
+
+@inline_always
+def _count_negative_films(B: FloatArray) -> None:
+    """Count the lanes whose film coefficient at the end of the frame is below 0, as their heating ratio is."""
+    for lane in range(LANES):
+        B[NEGATIVE * LANES + lane] += 1.0 if B[(FILM + END) * LANES + lane] < 0.0 else 0.0
 
 
 @inline_always
@@ -305,6 +310,7 @@ def _evaluate_now(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> 
         B[LAG_PAST * LANES + lane] = 0.0
     heat_lanes(B, J, table, dispatcher, END)
     evaluate_start(B, J, table, dispatcher)
+    _count_negative_films(B)
 
 
 @inline_always
@@ -325,6 +331,7 @@ def _advance_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt
         close_step(B, J[N_NODES], dt)
     else:
         _divide_frame(B, J, table, dispatcher, dt)
+    _count_negative_films(B)
 
 
 def advance(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:

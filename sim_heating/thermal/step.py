@@ -322,7 +322,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stag
     for lane in range(LANES):
         B[ACTIVE * LANES + lane] = B[STEPPING * LANES + lane]
     for iteration in range(NEWTON_LIMIT):
-        evaluate_faces(B, J, table, dispatcher, stage)
+        evaluate_faces(B, J, table, dispatcher, stage, stage == END and iteration == 0)
         assemble(B, J, table, STAGE_WEIGHT * dt, REDUCED)
         for lane in range(LANES):
             # Passed from node to node through the rows, from the ghost behind: constant distances, no alias checks.

@@ -61,9 +61,10 @@ AIR_PLACE, RATIO_FOUND = 42, 45
 # Control of the time step (thermal/frame.py): tolerated error of a step [K]; steps taken; whether a lane takes part in
 # the step and whether its error is tolerated; the part of the frame that it has done [1/FINEST]. What a lane that
 # repeats a step returns to: heat and energy at the faces in the order of STAGE_IN to ENERGY_OUT, failures, the lag at
-# the end of the step. Counters at the end of a frame: OUTSIDE and NEGATIVE.
+# the end of the step. Samples outside a table at the end of a frame. Slope of the ratio against the wall temperature,
+# of effects that depend on it [1/K].
 TOLERANCE, STEPS, STEPPING, TOLERATED, DONE = 46, 47, 48, 49, 50
-BEFORE_FACES, BEFORE_FAILED, BEFORE_LAG, COUNTED = 51, 55, 56, 58
+BEFORE_FACES, BEFORE_FAILED, BEFORE_LAG, COUNTED, WALL_SLOPE = 51, 55, 56, 58, 59
 # Surroundings and back face, one row a stage: T_sur^4 [K4], temperature behind the wall [K], film coefficient of
 # natural convection there at a difference of 1 K [W/(m2 K)]. Of that film: declared coefficient at sea level, exponent.
 STAGE_SURROUNDINGS4, STAGE_BACK_T, STAGE_NATURAL, NATURAL, NATURAL_EXPONENT = 60, 63, 66, 69, 70
