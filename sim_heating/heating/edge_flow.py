@@ -50,11 +50,11 @@ from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_ker
 
 FLOW_COLUMNS = ("turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg")
 """Columns of the conditions that follow from declared transition and recombination."""
-LAMINAR_AT, TURBULENT_AT, LARGEST, BY_RE_THETA, ATOMS, LENGTH, KIND, ANGLE, BY_ELEVON, BY_BODYFLAP = range(10)
+LAMINAR_AT, TURBULENT_AT, LARGEST, BY_RE_THETA, ATOMS, LOG_LENGTH, KIND, ANGLE, BY_ELEVON, BY_BODYFLAP = range(10)
 FLOW_WIDTH = 10
 """Places in the numbers of a point: its tables in the flat array (-1 without), the largest ratio of the laminar one [-]
-(1 without), whether Re_theta / M_e is asked for, of which flow the atoms are, running length [m]; its recovery, local
-angle [deg], elevon and body-flap factor [-]."""
+(1 without), whether Re_theta / M_e is asked for, of which flow the atoms are, log10 of the running length in m; its
+recovery, local angle [deg], elevon and body-flap factor [-]."""
 Atoms = Literal["none", "edge", "stagnation", "edge-oxygen", "stagnation-oxygen"]
 """Flow whose atoms reach the wall."""
 NO_ATOMS, OF_EDGE, OF_STAGNATION, EDGE_OXYGEN, STAGNATION_OXYGEN = 0.0, 1.0, 2.0, 3.0, 4.0
@@ -142,33 +142,27 @@ def pack_flows(flows: Sequence[EdgeFlow]) -> tuple[FloatArray, FloatArray]:
             largest,
             float(flow.re_theta),
             ATOMS_OF[flow.atoms],
-            flow.running_length_m,
+            math.log10(flow.running_length_m),
             *flow.recovery.parameters(),
         )
     return numbers, np.concatenate([*tables, np.zeros(1)])
 
 
 class SurfaceEdge(NamedTuple):
-    """Flow at the edge of a windward surface, and of its laminar boundary layer what the running length leaves alone.
+    """Flow at the edge of a windward surface.
 
     angle_deg         : of the surface against the flow [deg]; NaN stands for no edge
-    u_e               : edge speed [m/s]
-    rho, mu           : density [kg/m3] and viscosity [Pa s] at Eckert's reference enthalpy
-    mu_e, mach        : viscosity at the edge [Pa s], edge Mach number of the criterion [-]; rho, mu, mu_e and mach are
-                        0 where they were not asked for
+    log10_re_theta_m  : log10 of Re_theta / M_e [-] of its laminar boundary layer at a running length of 1 m; 0 where it
+                        was not asked for
     dissociation_J_kg : heat of dissociation at the edge [J/kg]
     """
 
     angle_deg: float
-    u_e: float
-    rho: float
-    mu: float
-    mu_e: float
-    mach: float
+    log10_re_theta_m: float
     dissociation_J_kg: float
 
 
-NO_EDGE = SurfaceEdge(math.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_EDGE = SurfaceEdge(math.nan, 0.0, 0.0)
 """To begin with, at every time."""
 
 
@@ -178,41 +172,30 @@ def surface_edge(
 ) -> SurfaceEdge:
     """Flow at the edge of a surface.
 
+        Re_theta = 0.664 sqrt(rho* mu* u_e x) / mu_e / sqrt(3),    M_e = u_e / a_e, at least 1
+
     state        : stagnation pressure [Pa], enthalpy [J/kg] and density [kg/m3], free-stream pressure [Pa]
     velocity_m_s : free-stream speed [m/s];  angle_deg : of the surface against the flow [deg]
-    complete     : whether the laminar boundary layer is asked for, with a wall at WALL_K
+    complete     : whether the laminar boundary layer is asked for, on a cone-like surface with a wall at WALL_K
 
-    One cell of the pressure serves all of it. Source: docs/theory/equations_reference_heating.md, equations 15, 18 and
-    34.
+    rho*, mu* are at Eckert's reference enthalpy. Beyond 57.5 deg M_e stays what it is there, and the criterion falls to
+    0 where the flow meets the surface squarely. One cell of the pressure serves all of it.
+    Source: Eckert 1956; docs/theory/equations_reference_heating.md, equations 15, 18, 33 and 34.
     """
     p_e, h_e, u_e = windward_edge(state[3], state[0], state[1], velocity_m_s, angle_deg)
     i, w = pressure_cell(p_e)
     _, mu_e, T_e = state_in_cell(h_e, p_e, i, w)
     dissociation = dissociation_in_cell(T_e, i, w)
     if not complete:
-        return SurfaceEdge(angle_deg, u_e, 0.0, 0.0, 0.0, 0.0, dissociation)
+        return SurfaceEdge(angle_deg, 0.0, dissociation)
     rho, mu, _ = state_in_cell(reference_enthalpy(h_e, enthalpy_in_cell(WALL_K, i, w), u_e, False), p_e, i, w)
     mach = u_e / sound_in_cell(h_e, i, w)
     if angle_deg > STEEPEST_DEG:
         p, h, u = windward_edge(state[3], state[0], state[1], velocity_m_s, STEEPEST_DEG)
         i, w = pressure_cell(p)
         mach = u / sound_in_cell(h, i, w)
-    return SurfaceEdge(angle_deg, u_e, rho, mu, mu_e, max(mach, SONIC), dissociation)
-
-
-@njit
-def re_theta_over_mach(edge: SurfaceEdge, length_m: float) -> float:
-    """Re_theta / M_e [-] of a laminar boundary layer on a cone-like surface at 1100 K.
-
-        Re_theta = 0.664 sqrt(rho* mu* u_e x) / mu_e / sqrt(3),    M_e = u_e / a_e, at least 1
-
-    edge : complete;  length_m : running length x [m]
-    rho*, mu* are at Eckert's reference enthalpy. Beyond 57.5 deg M_e stays what it is there, and the criterion falls to
-    0 where the flow meets the surface squarely. Source: Eckert 1956; docs/theory/equations_reference_heating.md,
-    equations 33 and 34.
-    """
-    re_theta = MOMENTUM_C * math.sqrt(edge.rho * edge.mu * edge.u_e * length_m) / (edge.mu_e * DIVERGING_LAMINAR)
-    return re_theta / edge.mach
+    re_theta = MOMENTUM_C * math.sqrt(rho * mu * u_e) / (mu_e * DIVERGING_LAMINAR)
+    return SurfaceEdge(angle_deg, math.log10(re_theta / max(mach, SONIC)), dissociation)
 
 
 @njit
@@ -248,7 +231,7 @@ def edge_flow_kernel(
         # Points of one surface differ by their running length alone, and an edge is the largest part of a frame.
         if running_deg != last_edge.angle_deg:
             last_edge = surface_edge(state, velocity_m_s, running_deg, True)
-        criterion = math.log10(re_theta_over_mach(last_edge, numbers[first + LENGTH]))
+        criterion = last_edge.log10_re_theta_m + 0.5 * numbers[first + LOG_LENGTH]
     if has_edge and of_edge:
         angle = running_deg + numbers[first + BY_ELEVON] * x[3] + numbers[first + BY_BODYFLAP] * x[4]
         edge = last_edge if angle == last_edge.angle_deg else surface_edge(state, velocity_m_s, angle, False)

@@ -226,7 +226,7 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage:
 
 @njit
 def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:
-    """Film coefficient, recovery enthalpy and added flux of perturbed lanes, whose pressure is that of their nominal one.
+    """Film coefficient, recovery enthalpy and added flux of perturbed lanes, whose pressure is that of the nominal one.
 
     B, J  : block of the lane group and its integers; rows R_BASE [-], FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2]
             of the stage are written, all effects at the present wall temperatures

@@ -31,6 +31,7 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared
 from sim_heating.base.kernels.jit import njit
+from sim_heating.heating.reference.recovery import NO_INCIDENCE, Incidence, incidence_at
 from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_kernel
 
 NEWTONIAN = 0.0
@@ -117,7 +118,7 @@ def surface_pressure_kernel(
     """
     rise = stagnation_rise(stagnation_kernel(rho_kg_m3, max(velocity_m_s, SLOWEST_M_S), T_inf_K))
     cos_beta = math.cos(math.radians(beta_deg))
-    return pressure_below_rise(p_inf, rise, alpha_deg, cos_beta, elevon_deg, bodyflap_deg, model)
+    return pressure_below_rise(p_inf, rise, alpha_deg, cos_beta, elevon_deg, bodyflap_deg, model, NO_INCIDENCE)[0]
 
 
 @njit
@@ -129,8 +130,9 @@ def pressure_below_rise(
     elevon_deg: float,
     bodyflap_deg: float,
     model: FloatArray,
-) -> float:
-    """Surface pressure [Pa] of one point from the pressure rise at the stagnation point.
+    incidence: Incidence,
+) -> tuple[float, Incidence]:
+    """Surface pressure [Pa] of one point from the pressure rise at the stagnation point, and its incidence.
 
         p = p_inf + rise max(0, cos beta sin theta)^2,   or   p = p_inf + fraction rise
 
@@ -138,15 +140,16 @@ def pressure_below_rise(
     cos_beta    : cosine of sideslip [-]; it and `rise` are common to all points of a vehicle, so computed once
     alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
     model       : `parameters()` of a pressure model, at least (PRESSURE_WIDTH,)
+    incidence   : of the point before, or NO_INCIDENCE; returned where the model has no angle
     Source: docs/theory/equations.md, equations 30 and 31.
     """
     # Kind as a float in the parameter block: one kernel for both models, whose blocks lie in one array.
     if model[0] == FRACTION:
-        return p_inf + model[1] * rise
-    angle = alpha_deg + model[1] + model[2] * elevon_deg + model[3] * bodyflap_deg
-    normal = cos_beta * math.sin(math.radians(angle))
+        return p_inf + model[1] * rise, incidence
+    incidence = incidence_at(alpha_deg + model[1] + model[2] * elevon_deg + model[3] * bodyflap_deg, incidence)
+    normal = cos_beta * incidence.sine
     # A surface in the shadow of the flow has free-stream pressure.
-    return p_inf + rise * max(0.0, normal) ** 2
+    return p_inf + rise * max(0.0, normal) ** 2, incidence
 
 
 @njit

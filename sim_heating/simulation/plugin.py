@@ -30,6 +30,7 @@ from sim_heating.heating.edge_flow import pack_flows
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.effects.compiled import unusable_value
 from sim_heating.heating.reference.models import reference_model
+from sim_heating.heating.surroundings import ground_view
 from sim_heating.inputs.points import point_of_vehicle, wall_enthalpy_code, wall_enthalpy_of
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, upstream_point
 from sim_heating.march.ensemble import Ensemble
@@ -368,8 +369,9 @@ def point_constants(vehicle: Vehicle, points: Sequence[ControlPoint]) -> k.Point
     lengths = [p.running_length_m or 1.0 if on_plate else 1.0 for p in points]
     flows, tables = pack_flows([p.flow for p in points])
     cp = wall_enthalpy_code(wall_enthalpy_of(vehicle.heating.wall_enthalpy))
-    rows = zip(points, lengths, flows, strict=True)
-    numbers = np.array([[*p.pressure.parameters(), x, *flow, NO_WALL, cp] for p, x, flow in rows])
+    pressures = [p.pressure.parameters() for p in points]
+    rows = zip(pressures, lengths, flows, strict=True)
+    numbers = np.array([[*p, x, *flow, NO_WALL, cp, ground_view(p[0], p[1])] for p, x, flow in rows])
     return k.PointConstants(numbers, tables)
 
 

@@ -66,10 +66,10 @@ from sim_heating.heating.interface import upstream_enthalpy
 from sim_heating.heating.ratio.lookup import table_ratio
 from sim_heating.heating.reference.models import is_dense, reference_film_kernel, surface_angle, total_enthalpy_kernel
 from sim_heating.heating.reference.rarefied import bridged_film, free_molecular_film
-from sim_heating.heating.reference.recovery import point_recovery_kernel
+from sim_heating.heating.reference.recovery import NO_INCIDENCE, Incidence, incidence_at, point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
 from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_rise
-from sim_heating.heating.surroundings import ground_view, still_air_kernel, surroundings_kernel
+from sim_heating.heating.surroundings import still_air_kernel, surroundings_kernel
 from sim_heating.march.frames import BLOCK_START, END_STAGE, LaneGroups, advance_groups, begin_groups
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
@@ -87,10 +87,12 @@ FLOW_AT = RUNNING_LENGTH + 1
 RECOVERY_AT = FLOW_AT + KIND
 UPSTREAM_PLACE = FLOW_AT + FLOW_WIDTH
 UPSTREAM_CP = UPSTREAM_PLACE + 1
-POINT_WIDTH = UPSTREAM_CP + 1
+GROUND_VIEW = UPSTREAM_CP + 1
+POINT_WIDTH = GROUND_VIEW + 1
 """Numbers of a control point: its pressure model, the running length of its reference heating [m], what its declared
 effects ask of the flow at its edge, of which the last ones, from RECOVERY_AT on, are its recovery enthalpy; place in
-the state of the wall upstream of its interface, below 0 without one, and cp of its enthalpy [J/(kg K)], 0 for air."""
+the state of the wall upstream of its interface, below 0 without one, and cp of its enthalpy [J/(kg K)], 0 for air;
+view factor of the ground [-]."""
 
 
 class PointConstants(NamedTuple):
@@ -243,14 +245,16 @@ def _film_at_point(
     sweep_deg: float,
     point: FloatArray,
     tables: FloatArray,
+    incidence: Incidence,
 ) -> float:
     """Reference film coefficient [kg/(m2 s)] of a point, bridged in thin air (heating/reference/rarefied.py).
 
-    h_ref : in continuum flow;  x : conditions of the point, its ratio variables and recovery enthalpy among them
+    h_ref     : in continuum flow;  x : conditions of the point, its ratio variables and recovery enthalpy among them
+    incidence : of a surface, this one perhaps
     """
     angle = surface_angle(code, x[ALPHA], x[ELEVON], x[BODYFLAP], sweep_deg, point, RECOVERY_AT)
     # Most of an entry ends here, without the look-up of the ratio.
-    if h_ref == 0.0 or is_dense(rho, V, angle, point[FLOW_AT + LARGEST] * h_ref):
+    if h_ref == 0.0 or is_dense(rho, V, incidence_at(angle, incidence).sine, point[FLOW_AT + LARGEST] * h_ref):
         return h_ref
     at = int(point[FLOW_AT + LAMINAR_AT])
     ratio = table_ratio(tables, at, x, 0) if at != NO_TABLE else 1.0
@@ -277,6 +281,7 @@ def derive_conditions(
     # One shock for the surface pressures, the reference heating and the edges of the points.
     state = stagnation_kernel(rho, max(V, SLOWEST_M_S), T_inf)
     rise, cos_beta, edge = stagnation_rise(state), math.cos(math.radians(beta)), NO_EDGE
+    incidence = NO_INCIDENCE
     for i in range(len(lanes)):
         # Lanes that fill a group repeat its last point.
         if i > 0 and lanes[i] == lanes[i - 1]:
@@ -291,16 +296,20 @@ def derive_conditions(
             h_ref = reference_film_kernel(code, rho, V, T_inf, alpha, radius, length, COLD_WALL_K, state, host[SWEEP])
         vector[ALPHA], vector[BETA], vector[LOG10_RE] = alpha, beta, log10_re
         vector[ELEVON], vector[BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
-        vector[P_SURFACE] = pressure_below_rise(p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point)
-        vector[RECOVERY_ENTHALPY], vector[RECOVERY_RISE] = point_recovery_kernel(
-            H_0, V, alpha, frame[F_ELEVON], frame[F_BODYFLAP], point, RECOVERY_AT
+        vector[P_SURFACE], incidence = pressure_below_rise(
+            p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point, incidence
         )
-        vector[H_REF] = _film_at_point(code, h_ref, rho, V, T_inf, vector, host[SWEEP], point, pointer(points.tables))
+        vector[RECOVERY_ENTHALPY], vector[RECOVERY_RISE], incidence = point_recovery_kernel(
+            H_0, V, alpha, frame[F_ELEVON], frame[F_BODYFLAP], point, RECOVERY_AT, incidence
+        )
+        vector[H_REF] = _film_at_point(
+            code, h_ref, rho, V, T_inf, vector, host[SWEEP], point, pointer(points.tables), incidence
+        )
         vector[SURROUNDINGS] = host[AROUND]
         if host[BY_ALTITUDE] > 0.0:
             vector[STILL_AIR], vector[AIR_K] = still_air_kernel(V, p_inf), T_inf
             if host[AROUND] == 0.0:
-                vector[SURROUNDINGS] = surroundings_kernel(T_inf, p_inf, ground_view(point[0], point[1]))
+                vector[SURROUNDINGS] = surroundings_kernel(T_inf, p_inf, point[GROUND_VIEW])
         vector[JETS], vector[MACH], vector[TIME] = frame[F_JETS], mach, frame[F_TIME]
         vector[TURBULENT_RATIO], vector[LOG10_RE_THETA_M], vector[DISSOCIATION], edge = edge_flow_kernel(
             state, V, vector, point, FLOW_AT, pointer(points.tables), edge

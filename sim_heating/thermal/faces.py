@@ -311,9 +311,7 @@ def _cache_walls(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> N
 
 
 @inline_always
-def evaluate_surface(
-    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, keeps_slope: bool
-) -> None:
+def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, keeps_slope: bool) -> None:
     """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)], of all lanes.
 
         s_0 = (1 - f) film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4)
@@ -357,9 +355,7 @@ def _add_still_air(B: FloatArray, stage: int) -> None:
 
 
 @inline_always
-def _balance_with_effects(
-    B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, keeps_slope: bool
-) -> None:
+def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, keeps_slope: bool) -> None:
     """Surface balance of a lane with effects on its emittance, or with effects that depend on the wall temperature."""
     # The first guess of a stage is extrapolated and may be below 0 K, where the rates of an effect are no numbers.
     wall = max(B[(HEAD_ROWS + T) * LANES + lane], COLDEST_K)

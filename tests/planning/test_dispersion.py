@@ -309,7 +309,10 @@ def test_a_tile_behind_the_nose_cap_is_heated_as_run_has_it(tmp_path, points):
     vehicle, (tile, *_) = entry.study.vehicle, entry.points
     flown = conditions_from_rows(entry.planned.rows[0, : entry.planned.frame_counts[0]], vehicle.reference_length_m)
     model = replace(entry.lanes.models[0], nodes=entry.meshes[0].nodes)
-    at_walls = [conditions_behind_walls(vehicle, [tile.point], flown)[0], conditions_at_point(vehicle, tile.point, flown)]
+    at_walls = [
+        conditions_behind_walls(vehicle, [tile.point], flown)[0],
+        conditions_at_point(vehicle, tile.point, flown),
+    ]
     behind, alone = (march_points([model], [c], longest_step_s=4.0)[0].surface_K.max() for c in at_walls)
     assert entry.planned_peaks[0, 0, 0] == pytest.approx(behind, abs=0.1)
     assert behind > alone + 1.0

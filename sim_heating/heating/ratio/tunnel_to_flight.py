@@ -58,7 +58,7 @@ from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import eckert_kernel, windward_edge_kernel
 from sim_heating.heating.reference.gas import air_kernel
 from sim_heating.heating.reference.models import total_enthalpy_kernel
-from sim_heating.heating.reference.recovery import Recovery, SurfaceRecovery, point_recovery_kernel
+from sim_heating.heating.reference.recovery import NO_INCIDENCE, Recovery, SurfaceRecovery, point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, NO_LEWIS, fay_riddell_kernel
 
 ALPHA, LOG10_RE = 0, 2
@@ -219,7 +219,7 @@ def driving_enthalpy(
     p_e, _, _ = windward_edge_kernel(rho, V, T, angle_deg)
     H_w, H_0 = air_kernel(state.wall_K, p_e)[0], total_enthalpy_kernel(V, T)
     kind: SurfaceRecovery = "edge-laminar" if recovery is None else recovery
-    H, rise = point_recovery_kernel(H_0, V, angle_deg, 0.0, 0.0, Recovery(kind).parameters(), 0)
+    H, rise, _ = point_recovery_kernel(H_0, V, angle_deg, 0.0, 0.0, Recovery(kind).parameters(), 0, NO_INCIDENCE)
     driving = H - H_w if recovery is not None else H + intermittency * rise - H_w
     if driving <= 0.0:
         raise InputError(

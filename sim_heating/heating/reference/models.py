@@ -7,7 +7,6 @@ Equations: docs/theory/equations_reference_heating.md, section 3 and section 5.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -228,13 +227,13 @@ def surface_angle(
 
 
 @njit
-def is_dense(rho_kg_m3: float, velocity_m_s: float, angle_deg: float, film: float) -> bool:
+def is_dense(rho_kg_m3: float, velocity_m_s: float, sine: float, film: float) -> bool:
     """Whether the bridging takes nothing off a film [kg/(m2 s)], by rho V sin(angle), a lower bound of h_fm.
 
-    rho_kg_m3, velocity_m_s, angle_deg : free stream [kg/m3], [m/s]; angle of the surface [deg]
+    rho_kg_m3, velocity_m_s, sine : free stream [kg/m3], [m/s]; of the angle of the surface [-]
     Source: docs/theory/equations_reference_heating.md, equation 32.
     """
-    return rho_kg_m3 * velocity_m_s * math.sin(math.radians(angle_deg)) > DENSE * film
+    return rho_kg_m3 * velocity_m_s * sine > DENSE * film
 
 
 @njit

@@ -19,7 +19,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -80,6 +80,30 @@ class Recovery:
         return np.array([RECOVERIES[self.kind], angle_deg, self.elevon_factor, self.bodyflap_factor])
 
 
+class Incidence(NamedTuple):
+    """Angle of a surface against the flow [deg], its sine and its cosine [-]."""
+
+    angle_deg: float
+    sine: float
+    cosine: float
+
+
+NO_INCIDENCE = Incidence(math.nan, math.nan, math.nan)
+"""Before the first point."""
+
+
+@njit
+def incidence_at(angle_deg: float, last: Incidence) -> Incidence:
+    """Sine and cosine of an angle [deg]; those of the last one where it is the same.
+
+    Most points of a lower side have one angle, and sines of each would be a twentieth of a frame.
+    """
+    if angle_deg == last.angle_deg:
+        return last
+    angle = math.radians(angle_deg)
+    return Incidence(angle_deg, math.sin(angle), math.cos(angle))
+
+
 @njit
 def recovery_factor(turbulent: bool) -> float:
     """Recovery factor r [-] of a boundary layer: Pr^1/3 where turbulent, Pr^1/2 where laminar; Pr = 0.71.
@@ -97,8 +121,13 @@ def edge_speed(velocity_m_s: float, angle_deg: float) -> float:
     Newtonian flow keeps the part of the velocity that is parallel to the surface; sideslip is not considered.
     Source: docs/theory/equations_reference_heating.md, equation 18.
     """
+    return _edge_speed(velocity_m_s, math.cos(math.radians(angle_deg)))
+
+
+@njit
+def _edge_speed(velocity_m_s: float, cosine: float) -> float:
     # Not 0, for Re* and with it the laminar law C_h ~ Re*^-1/2 would have no value.
-    return max(velocity_m_s * abs(math.cos(math.radians(angle_deg))), SLOWEST_M_S)
+    return max(velocity_m_s * abs(cosine), SLOWEST_M_S)
 
 
 @njit
@@ -131,8 +160,9 @@ def point_recovery_kernel(
     bodyflap_deg: float,
     numbers: FloatArray,
     first: int,
-) -> tuple[float, float]:
-    """Recovery enthalpy H_r of a point and its rise from laminar to fully turbulent flow [J/kg].
+    incidence: Incidence,
+) -> tuple[float, float, Incidence]:
+    """Recovery enthalpy H_r of a point and its rise from laminar to fully turbulent flow [J/kg], and its incidence.
 
         H_r = H_0 - (1 - r) u_e^2/2,    rise = (Pr^1/3 - Pr^1/2) u_e^2/2 for edge-laminar, else 0
         H_r = H_0 - (1 - Pr^1/2) w^2/2 for attachment-line, w the speed along the edge
@@ -141,20 +171,22 @@ def point_recovery_kernel(
     velocity_m_s                        : free-stream speed [m/s]
     alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
     numbers, first                      : array that holds `Recovery.parameters()` from this place on
+    incidence                           : of the point before, or NO_INCIDENCE; returned where the point has no edge
     Source: docs/theory/equations_reference_heating.md, equations 15, 18, 19 and 33a.
     """
     kind = numbers[first]
     if kind == TOTAL:
-        return total_J_kg, 0.0
+        return total_J_kg, 0.0, incidence
     if kind == ATTACHMENT_LINE:
         w = spanwise_speed(velocity_m_s, alpha_deg, numbers[first + 1])
-        return total_J_kg - (1.0 - recovery_factor(False)) * 0.5 * w * w, 0.0
-    u_e = edge_speed(velocity_m_s, point_angle(alpha_deg, elevon_deg, bodyflap_deg, numbers, first))
+        return total_J_kg - (1.0 - recovery_factor(False)) * 0.5 * w * w, 0.0, incidence
+    incidence = incidence_at(point_angle(alpha_deg, elevon_deg, bodyflap_deg, numbers, first), incidence)
+    u_e = _edge_speed(velocity_m_s, incidence.cosine)
     kinetic, turbulent = 0.5 * u_e * u_e, recovery_factor(True)
     if kind == EDGE_TURBULENT:
-        return total_J_kg - (1.0 - turbulent) * kinetic, 0.0
+        return total_J_kg - (1.0 - turbulent) * kinetic, 0.0, incidence
     laminar = recovery_factor(False)
-    return total_J_kg - (1.0 - laminar) * kinetic, (turbulent - laminar) * kinetic
+    return total_J_kg - (1.0 - laminar) * kinetic, (turbulent - laminar) * kinetic, incidence
 
 
 @njit
@@ -169,7 +201,9 @@ def _point_recovery_loop(
     rise: FloatArray,
 ) -> None:
     for i in range(len(total)):
-        H_r[i], rise[i] = point_recovery_kernel(total[i], V[i], alpha[i], elevon[i], bodyflap[i], numbers, 0)
+        H_r[i], rise[i], _ = point_recovery_kernel(
+            total[i], V[i], alpha[i], elevon[i], bodyflap[i], numbers, 0, NO_INCIDENCE
+        )
 
 
 def point_recovery(recovery: Recovery, total_J_kg: FloatArray, flown: Conditions) -> tuple[FloatArray, FloatArray]:

@@ -65,7 +65,7 @@ from sim_heating.heating.edge_flow import LAMINAR_AT, LARGEST
 from sim_heating.heating.film import emittance_factor
 from sim_heating.heating.ratio.lookup import invalidate_cells, largest_ratio
 from sim_heating.heating.reference.models import COLUMNS
-from sim_heating.heating.reference.recovery import point_recovery_kernel
+from sim_heating.heating.reference.recovery import NO_INCIDENCE, point_recovery_kernel
 from sim_heating.inputs.sensor_model import indicated_kernel
 from sim_heating.march.frames import BLOCK_END, BLOCK_START, END_STAGE, INTS_END, INTS_START, begin_groups
 from sim_heating.simulation.fmu_export.parts.library import (
@@ -201,7 +201,7 @@ def _derive_vectors(R, N, T, inputs, time: float) -> None:
         if host[CODE] == COLUMNS:
             vectors[i, H_REF] = inputs[F_H_REF - 1]
             # The host's enthalpy is that of the flow; a point with an edge recovers less of it.
-            vectors[i, RECOVERY_ENTHALPY], vectors[i, RECOVERY_RISE] = point_recovery_kernel(
+            vectors[i, RECOVERY_ENTHALPY], vectors[i, RECOVERY_RISE], _ = point_recovery_kernel(
                 inputs[F_H_R - 1],
                 frame[F_VELOCITY],
                 frame[F_ALPHA],
@@ -209,6 +209,7 @@ def _derive_vectors(R, N, T, inputs, time: float) -> None:
                 frame[F_BODYFLAP],
                 numbers[at(N, N[LANE_POINTS])[i]],
                 RECOVERY_AT,
+                NO_INCIDENCE,
             )
 
 
