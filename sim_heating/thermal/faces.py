@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import (
+    ACTIVE,
     ADDED,
     AIR,
     AIR_FOOT,
@@ -84,21 +85,22 @@ def _film_and_slope(
 ) -> tuple[float, float]:
     """Film coefficient [kg/(m2 s)] of a lane whose effects depend on the wall temperature, and its slope against it.
 
-    keeps_slope : whether the slope of the ratio is that of the evaluation before
+    keeps_slope : whether the slope of the ratio is that of the lane's last iterate
     """
     h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
     h_ref *= B[(STEP_FACTOR + stage) * LANES + lane]
     r = B[(R_BASE + stage) * LANES + lane]
     first, end = J[FIRST_AT_WALL + lane], J[N_EFFECTS + lane]
-    at_wall = 0.0
+    at_wall, slope = 0.0, B[WALL_SLOPE * LANES + lane]
     if not keeps_slope:
         above = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K, first, end)
         below = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall - WALL_DIFFERENCE_K, first, end)
-        at_wall = 0.5 * (above + below)
-        B[WALL_SLOPE * LANES + lane] = (above - below) * (0.5 / WALL_DIFFERENCE_K)
+        at_wall, slope = 0.5 * (above + below), (above - below) * (0.5 / WALL_DIFFERENCE_K)
     if keeps_slope or J[LAG_SLOT + lane] != NONE:  # the state of a lag has to be left at the wall's own temperature
         at_wall = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, end)
-    return h_ref * at_wall, h_ref * B[WALL_SLOPE * LANES + lane]
+    if B[ACTIVE * LANES + lane] > 0.0:  # a lane that has converged keeps its own, however long others iterate
+        B[(FILM + stage) * LANES + lane], B[WALL_SLOPE * LANES + lane] = h_ref * at_wall, slope
+    return h_ref * at_wall, h_ref * slope
 
 
 @inline_always
@@ -187,10 +189,10 @@ def evaluate_faces(
 ) -> None:
     """Heat from outside [W/m2] and its slope [W/(m2 K)] at surface, back and gaps, at the present temperatures.
 
-    B           : block of the lane group; SOURCE and SLOPE of the nodes concerned change, and FILM of the stage where
-                  effects depend on the wall temperature
+    B           : block of the lane group; SOURCE and SLOPE of the nodes concerned change, and in lanes that iterate
+                  FILM of the stage where effects depend on the wall temperature
     stage       : 0, 1 or 2; start, middle and end of a step, whose film coefficients and recovery enthalpies are used
-    keeps_slope : whether the slope of such effects is that of the evaluation before, at a temperature close by: it
+    keeps_slope : whether the slope of such effects is that of the lane's last iterate, at a temperature close by: it
                   changes the way to the solution of a step alone, and is two thirds of what they cost
 
     Source: docs/theory/equations_thermal_step.md, equations 14 to 18.
@@ -366,7 +368,6 @@ def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, sta
     film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
     if J[N_EFFECTS + lane] > J[FIRST_AT_WALL + lane]:
         film, film_slope = _film_and_slope(B, J, dispatcher, lane, stage, wall, keeps_slope)
-        B[(FILM + stage) * LANES + lane] = film
     _write_surface_balance(B, lane, stage, eps, eps_slope, film, film_slope)
 
 

@@ -157,6 +157,8 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) ->
     """
     n = J[N_NODES]
     select_pressure(B, J, END)
+    for lane in range(LANES):
+        B[ACTIVE * LANES + lane] = 1.0
     evaluate_faces(B, J, table, dispatcher, END)
     for lane in range(LANES):
         B[STAGE_IN * LANES + lane] = B[(HEAD_ROWS + SOURCE) * LANES + lane]
