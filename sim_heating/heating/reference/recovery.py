@@ -97,6 +97,7 @@ def incidence_at(angle_deg: float, last: Incidence) -> Incidence:
     """Sine and cosine of an angle [deg]; those of the last one where it is the same.
 
     Most points of a lower side have one angle, and sines of each would be a twentieth of a frame.
+    The angle: docs/theory/equations.md, equation 30; docs/theory/equations_reference_heating.md, equation 19.
     """
     if angle_deg == last.angle_deg:
         return last
