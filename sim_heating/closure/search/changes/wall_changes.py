@@ -29,7 +29,7 @@ QUANTITIES = {
     CONDUCTIVITY: ("conductivity", "above", "below"),
     HEAT_CAPACITY: ("heat capacity (density times specific heat)", "above", "below"),
 }
-INSULATION, METAL, OTHER = "insulation", "metal", "other"
+GAS, INSULATION, METAL, OTHER = "gas", "insulation", "metal", "other"
 
 
 CONTACT = Parameter("contact_m2K_W", "m2 K/W", 0.0, 0.02, 0.0, 10.0, "contact resistance at the inner face of a layer")
@@ -211,11 +211,13 @@ def _material_change(layer: str, name: str, material: Material) -> RecordChange:
 
 
 def material_class(material: Material, *, insulates_W_mK: float = 0.3, conducts_W_mK: float = 5.0) -> str:
-    """Insulation, metal, or other, such as a coating or an adhesive, by its conductivity.
+    """Gas, and of solids insulation, metal, or other, such as a coating or an adhesive, by the conductivity.
 
     insulates_W_mK, conducts_W_mK : conductivity below which a material is an insulation, and above which a metal or
         carbon, in the middle of its table [W/(m K)]
     """
+    if material.kind == "gas":
+        return GAS
     k = _middle_conductivity(material)
     return INSULATION if k < insulates_W_mK else METAL if k > conducts_W_mK else OTHER
 
