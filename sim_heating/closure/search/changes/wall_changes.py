@@ -21,7 +21,7 @@ from sim_heating.heating.effects import effects
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.vehicle import library_materials
-from sim_heating.thermal.stack import Layer, Material, PressureTable
+from sim_heating.thermal.stack import FACES, Layer, Material, PressureTable, face_emittance
 
 THICKNESS, CONDUCTIVITY, HEAT_CAPACITY = (p.name for p in LAYER)
 QUANTITIES = {
@@ -139,7 +139,7 @@ def with_layers(record: Record, layers: Sequence[Layer], materials: Mapping[str,
 
 
 def contact_changes(record: Record) -> list[RecordChange]:
-    """A contact resistance at the inner face of every layer but the last.
+    """A contact resistance at the inner face of every layer but the last, between solids.
 
     Of the contacts on one side of the layer that insulates most, one alone is fitted: the layers between them are thin,
     and a record tells them apart hardly.
@@ -149,9 +149,11 @@ def contact_changes(record: Record) -> list[RecordChange]:
         layer.thickness_m / _middle_conductivity(record.declared.materials[layer.material]) for layer in stack.layer
     ]
     most = int(np.argmax(insulates))
+    gases = {face for i in record.construction.gas_layers for face in (i - 1, i)}
     return [
         _contact_change(record, i, f"contact {'outside' if i < most else 'inside'} layer {stack.layer_names[most]}")
         for i in range(len(stack.layer) - 1)
+        if i not in gases
     ]
 
 
@@ -228,11 +230,12 @@ def _middle_conductivity(material: Material) -> float:
 
 
 def _with_material(record: Record, _: float, *, layer: str, name: str, material: Material) -> Record:
-    """The record with another material in a layer; outermost it keeps the declared emittance where it states none."""
+    """The record with another material in a layer; outermost it keeps the declared emittance where it states none, and
+    to a layer of gas that of the declared face."""
     stack = record.declared.stack
     layers = []
     materials = dict(record.declared.materials)
-    for i, (present, called) in enumerate(zip(stack.layer, stack.layer_names, strict=True)):
+    for i, (present, called) in enumerate(zip(_layers_with_faces(record), stack.layer_names, strict=True)):
         if called != layer:
             layers.append(present)
             continue
@@ -242,3 +245,13 @@ def _with_material(record: Record, _: float, *, layer: str, name: str, material:
         materials[key] = material
         layers.append(present.model_copy(update={"material": key, "name": layer}))
     return with_layers(record, layers, materials)
+
+
+def _layers_with_faces(record: Record) -> list[Layer]:
+    """Layers of a record; those of gas state the emittances of their faces, which their neighbours may have stated."""
+    stack, materials = record.declared.stack, record.declared.materials
+    layers = list(stack.layer)
+    for i in record.construction.gas_layers:
+        emittances = {face: face_emittance(stack, materials, i, face) for face in FACES}
+        layers[i] = layers[i].model_copy(update=emittances)
+    return layers
