@@ -278,8 +278,8 @@ def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[s
 
     with output_directory(out, COMMAND, inputs=[closed.report.record.directory]) as folder:
         no_draws: list[Callable[[], object]] = []
-        after = [closed.report.after]
-        draws = or_left_out(lambda: write_fit_data(closed.fitted, _contents(closed), folder, after), no_draws, NAME)
+        marches = [(closed.report.before, closed.report.after)]
+        draws = or_left_out(lambda: write_fit_data(closed.fitted, _contents(closed), folder, marches), no_draws, NAME)
         write_closure(closed.report, folder, draws)
     return sorted(files_written(out))
 

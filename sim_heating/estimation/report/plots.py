@@ -31,22 +31,27 @@ from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.report.charts import ModelCurve, record_chart, residual_limits, shown_span, with_rmse
 
 BEFORE, AFTER = "tab:orange", "tab:blue"
+DECLARED, FITTED = "declared", "declared model fitted"
+"""Labels of the model before."""
 DRAWN_ABOVE_DEG = 0.5
 """Range of an angle above which it is drawn."""
 LAMP = "q_add_W_m2"
 
 
 @replaced_if_undrawable
-def draw_fit(path: Path, declared: Prediction, prediction: Prediction, *, filtered: bool = False) -> None:
+def draw_fit(
+    path: Path, declared: Prediction, prediction: Prediction, *, label: str = DECLARED, filtered: bool = False
+) -> None:
     """Draw each sensor with its residual below, declared and fitted, and the angles flown in the last panel.
 
+    label    : of the model before
     filtered : whether the fit was one with process noise, of which the march draws the values alone
 
     Holdout segments are shaded.
     """
     record = prediction.record
     fitted = "fitted, plain march" if filtered else "fitted"
-    figure, axes = fit_figure(record, [(declared, BEFORE, "declared"), (prediction, AFTER, fitted)])
+    figure, axes = fit_figure(record, [(declared, BEFORE, label), (prediction, AFTER, fitted)])
     title = record.declared.title or record.declared.control_point
     save_figure(figure, path, f"{record.name}: declared and fitted\n{title}", axes)
 

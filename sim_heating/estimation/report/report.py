@@ -352,17 +352,17 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
 
 
 def write_fit_data(
-    fitted: FitResult, estimate: Estimate, folder: Path, after: Sequence[Prediction] = ()
+    fitted: FitResult, estimate: Estimate, folder: Path, marches: Sequence[tuple[Prediction, Prediction]] = ()
 ) -> list[Callable[[], object]]:
     """Write the numbers of a fit into an existing folder: estimate.json and temperatures.
 
     estimate : contents of estimate.json
-    after    : of each record, the plain march that is shown in place of the fit's own, such as one along a flight that
-               was found
+    marches  : of each record, those of the fitted declared model and of the model found, which are shown in place of
+               the fit's own
     returns  : functions that draw its pictures there, for `draw_files`
     """
     from sim_heating.estimation.report.filtered import filtered_history, write_filtered
-    from sim_heating.estimation.report.plots import draw_fit, draw_profiles  # matplotlib is slow to import
+    from sim_heating.estimation.report.plots import DECLARED, FITTED, draw_fit, draw_profiles  # matplotlib is slow
     from sim_heating.estimation.report.ratio_plot import draw_ratio
 
     write_estimate(folder / NAME, estimate)
@@ -370,13 +370,13 @@ def write_fit_data(
     if fitted.profiles:
         sigmas = dict(zip(fitted.labels, fitted.bounds.sigma.tolist(), strict=True))
         draws.append(partial(draw_profiles, folder / PROFILE_PICTURE, list(fitted.profiles.values()), sigmas))
-    shown = after or fitted.after
-    parts = zip(fitted.problem.record_fits, fitted.before, shown, _record_folders(fitted, folder), strict=True)
-    for record_fit, before, march, record_folder in parts:
+    shown, label = marches or list(zip(fitted.before, fitted.after, strict=True)), FITTED if marches else DECLARED
+    parts = zip(fitted.problem.record_fits, shown, _record_folders(fitted, folder), strict=True)
+    for record_fit, (before, march), record_folder in parts:
         record_folder.mkdir(exist_ok=True, parents=True)
         write_temperatures_csv(record_folder / TEMPERATURES, march.history.time_s, march.history, march.record.sensors)
         filtered = fitted.innovations is not None
-        draws.append(partial(draw_fit, record_folder / FIT_PICTURE, before, march, filtered=filtered))
+        draws.append(partial(draw_fit, record_folder / FIT_PICTURE, before, march, label=label, filtered=filtered))
         draws.append(partial(draw_ratio, record_folder / RATIO_PICTURE, fitted, record_fit))
         if fitted.innovations is not None:
             write_filtered(record_folder, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
