@@ -7,7 +7,17 @@ from pathlib import Path
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import CONSOLE, FORCE, OUT, PATH, ROOT, optional_directory, print_table, progress_line
+from sim_heating.cli.console import (
+    CONSOLE,
+    FORCE,
+    OUT,
+    PATH,
+    ROOT,
+    NumberRange,
+    optional_directory,
+    print_table,
+    progress_line,
+)
 from sim_heating.cli.output import report_files, report_results
 
 
@@ -162,7 +172,13 @@ def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
 @click.argument("source")
 @click.option("--out", type=PATH, help="file to write; its suffix is its format; without it the table is described")
 @click.option("--vehicle", help="with body points: the vehicle whose control points get tables; --out is then a folder")
-@click.option("--farthest", default=0.5, show_default=True, help="with --vehicle: most distance of a body point, m")
+@click.option(
+    "--farthest",
+    type=NumberRange(min=0.0),
+    default=0.5,
+    show_default=True,
+    help="with --vehicle: most distance of a body point, m",
+)
 @FORCE
 @ROOT
 def table(source: str, out: Path | None, vehicle: str | None, farthest: float, root: Path | None) -> None:

@@ -82,6 +82,30 @@ def test_a_model_comes_back_from_its_file_to_1e_9(model_file):
     assert dave_ml_text(again) == dave_ml_text(model)
 
 
+def test_an_input_with_an_initial_value_stays_an_input(model_file):
+    """Such as those of NASA's F-16_prop.dml: an initial value stands in for an input that is not given."""
+    text = MODEL.replace('minValue="-5"', 'minValue="-5" initialValue="5"').replace("{lift}", repr(float(LIFT)))
+    model_file.write_text(text)
+    model = read_dave_ml(model_file)
+    assert model.inputs == ("alpha", "M")
+    assert repr(model) == "<DaveModel 'glider': 2 inputs, 1 outputs, 1 check cases>"
+    assert float(model.evaluate({"M": 1.25})["lift"]) == pytest.approx(LIFT)
+    with pytest.raises(InputError, match="`aplha` is no variable of the model; did you mean `alpha`"):
+        model.evaluate({"M": 1.25, "aplha": 5.0})
+
+
+def test_a_ratio_over_inputs_with_initial_values_keeps_all_its_nodes(tmp_path):
+    table = read_table(SHIPPED)
+    write_table(tmp_path / "table.dml", table)
+    text = (tmp_path / "table.dml").read_text()
+    changed = text.replace('name="angleOfAttack"', 'name="angleOfAttack" initialValue="40"', 1)
+    assert changed != text
+    (tmp_path / "table.dml").write_text(changed)
+    again = read_table(tmp_path / "table.dml")
+    assert np.array_equal(again.axes[0], table.axes[0])
+    assert np.max(np.abs(again.ratio - table.ratio)) <= 1e-9
+
+
 @pytest.mark.skipif("DAVE_ML_MODELS" not in os.environ, reason="DAVE_ML_MODELS names a folder of public models")
 def test_public_models_meet_their_check_data_and_come_back(tmp_path):
     """Such as the F-16 of NASA's simupy-flight: F16_aero.dml, F16_prop.dml."""

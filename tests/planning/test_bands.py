@@ -130,6 +130,28 @@ def test_an_estimate_with_the_error_of_its_model_predicts_with_a_band(tmp_path: 
     assert band["within"] > 0.9
 
 
+@pytest.mark.thorough
+def test_a_prediction_with_a_member_states_the_estimate_as_input_and_its_band_as_uncertainty(tmp_path: Path):
+    held, _ = fitted()
+    write_estimate(tmp_path / "estimate.json", held)
+    command = ["predict", str(P06), "--bands", "--member", str(tmp_path / "estimate.json"), "1"]
+    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 0
+    told = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert set(told["provenance"]["inputs"]) == {"scenarios/records/practice/p06", str(tmp_path / "estimate.json")}
+    assert told["credibility"]["factors"]["uncertainty_characterization"]["level"] >= 2
+    stated = told["credibility"]["uncertainty"]
+    sources_K = {name: part["sigma"] for name, part in stated["contributions"].items()}
+    assert sources_K == pytest.approx(told["band"]["sources_K"])
+
+
+@pytest.mark.parametrize("weight", ["0", "-1", "nan", "inf", "half"])
+def test_a_weight_that_is_no_number_above_0_is_refused(tmp_path: Path, capsys, weight: str):
+    command = ["predict", str(P06), "--bands", "--member", str(P06 / "record.toml"), weight]
+    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: Invalid value for '--member': ")
+
+
 def test_the_clock_of_a_flight_shifts_all_that_is_predicted(tmp_path: Path):
     copy = shutil.copytree(P06, tmp_path / "p06")
     stated = (copy / "record.toml").read_text()
