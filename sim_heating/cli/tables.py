@@ -305,7 +305,12 @@ def _tables_of_body_points(source: Path, vehicle: str, out: Path | None, farthes
     loaded = load_vehicle(vehicle, root=root)
     positions = {name: loaded.control_point(name).position_m for name in loaded.control_points}
     tables = tables_of_body_points(
-        source, positions, loaded.reference_length_m, farthest_m=farthest_m, reference=loaded.heating.reference
+        source,
+        positions,
+        loaded.reference_length_m,
+        farthest_m=farthest_m,
+        reference=loaded.heating.reference,
+        nose_radius_m=loaded.heating.nose_radius_m,
     )
     paths = [out / f"{name}.csv" for name in tables]
     for path in paths:
