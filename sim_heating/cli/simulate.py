@@ -45,7 +45,8 @@ MEMBERS = click.option(
     type=(PATH, NumberRange(min=0.0, max=1e6, min_open=True)),
     multiple=True,
     metavar="ESTIMATE WEIGHT",
-    help="an estimate.json that the bands take values and covariance from, with its weight; repeat for several",
+    help="an estimate.json that the bands take values and covariance from, or next_flight.toml of a campaign, with its "
+    "weight; repeat for several",
 )
 
 
