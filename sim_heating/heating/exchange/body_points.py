@@ -139,7 +139,9 @@ def _in_columns(path: Path) -> CsvTable:
         lines[at] = ",".join(name for name, _ in columns)
     optional = ("beta_deg", "wall_K", *(n for g in (*REYNOLDS, *HEATING) for n in g))
     file = csv_columns(path, "\n".join(lines), (*POSITION, "alpha_deg"), optional)
-    return file.with_columns({n: unit(file[n]) for n, unit in columns if unit is not None and n in file.columns})
+    return file.with_columns(
+        {n: u.factor * file[n] + u.offset for n, u in columns if u is not None and n in file.columns}
+    )
 
 
 def _column_and_unit(head: str, where: str) -> tuple[str, Conversion | None]:
@@ -148,7 +150,7 @@ def _column_and_unit(head: str, where: str) -> tuple[str, Conversion | None]:
         return head, None
     name, unit = name_and_unit(head, list(dict.fromkeys(UNITS.values())))
     column = SHORT.get(name.lower())
-    if column not in UNITS:
+    if column is None or column not in UNITS:
         return column or head, None
     conversion = converted(unit, UNITS[column]) if unit else None
     if conversion is None:
