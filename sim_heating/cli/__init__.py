@@ -82,7 +82,7 @@ INPUT_FILES = ("record", "records", "scenario", "study", "campaign_file", "path"
 """Names of the arguments and options that take files of a user."""
 COMPLETED = (*INPUT_FILES, "vehicle", "vehicles")
 """Names of the arguments and options that tab completion offers records, scenarios or vehicles for."""
-TAKES_EXAMPLES = (*INPUT_FILES, "link", "replay")
+TAKES_EXAMPLES = (*INPUT_FILES, "link", "replay", "trajectory")
 """Names of the arguments and options that a shipped example may be named by."""
 WITHOUT_EXAMPLES = ("new", "update-tables", "examples", "reproduce")
 """Commands that take no example."""

@@ -149,6 +149,19 @@ def OUT(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 PATH = click.Path(path_type=Path)
+
+
+class NumberRange(click.FloatRange):
+    """A number within a range. NaN lies within none, which `click.FloatRange` lets pass."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number that an argument stands for."""
+        number = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value} is not a number", param, ctx)
+        return number
+
+
 ROOT = click.option(
     "--root",
     type=PATH,

@@ -54,10 +54,24 @@ class ExamplePath(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path that an argument stands for."""
-        example = None if Path(value).exists() else example_path(str(value))
+        is_missing = not Path(value).exists()
+        example = example_path(str(value)) if is_missing else None
+        if is_missing and example is None:
+            _refuse_misspelt(str(value))
         if example is not None and not current_report().is_quiet:
             ERRORS.print(f"{value}: not in this folder; the shipped example {example} is taken")
         return super().convert(value if example is None else example, param, ctx)
+
+
+def _refuse_misspelt(name: str) -> None:
+    """raises : InputError where no example has a name, and one has nearly that name, or ends in it"""
+    from sim_heating.base.files import suggestion
+
+    names = [example for example, _ in _names()]
+    meant = next((example for example in names if example.endswith(f"/{name}")), None)
+    near = suggestion(name, names, otherwise="", cutoff=0.8) if meant is None else f"; did you mean `{meant}`?"
+    if near:
+        raise InputError(f"{name}: is no file of this folder and no shipped example{near}")
 
 
 @click.command()

@@ -14,6 +14,7 @@ from sim_heating.cli.console import (
     FORCE,
     PATH,
     ROOT,
+    NumberRange,
     optional_directory,
     print_outputs,
     print_table,
@@ -42,7 +43,7 @@ MOST_REMARKS = 20
 )
 @FORCE
 @click.option("--replay", type=PATH, metavar="RECORD", help="send this record again in place of the link's sources")
-@click.option("--speed", type=click.FloatRange(0.0), help="flight seconds a second of --replay and --demo; 0: no limit")
+@click.option("--speed", type=NumberRange(0.0), help="flight seconds a second of --replay and --demo; 0: no limit")
 @click.option("--demo", is_flag=True, help="fly the Mach-20 POPU in JSBSim at 10x, stream it and open the page")
 @click.option("--headless", is_flag=True, help="serve no page")
 @click.option("--metrics", is_flag=True, help="serve Prometheus metrics and the latest state without a page, too")

@@ -15,6 +15,7 @@ from sim_heating.cli.console import (
     OUT,
     PATH,
     ROOT,
+    NumberRange,
     comma_list,
     print_outputs,
     print_table,
@@ -41,10 +42,11 @@ BANDS = click.option("--bands", is_flag=True, help="95 % bands of the temperatur
 MEMBERS = click.option(
     "--member",
     "members",
-    type=(PATH, click.FloatRange(min=0.0, min_open=True)),
+    type=(PATH, NumberRange(min=0.0, max=1e6, min_open=True)),
     multiple=True,
     metavar="ESTIMATE WEIGHT",
-    help="an estimate.json that the bands take values and covariance from, with its weight; repeat for several",
+    help="an estimate.json that the bands take values and covariance from, or next_flight.toml of a campaign, with its "
+    "weight; repeat for several",
 )
 
 

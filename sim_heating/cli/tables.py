@@ -7,7 +7,17 @@ from pathlib import Path
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import CONSOLE, FORCE, OUT, PATH, ROOT, optional_directory, print_table, progress_line
+from sim_heating.cli.console import (
+    CONSOLE,
+    FORCE,
+    OUT,
+    PATH,
+    ROOT,
+    NumberRange,
+    optional_directory,
+    print_table,
+    progress_line,
+)
 from sim_heating.cli.output import report_files, report_results
 
 
@@ -162,7 +172,13 @@ def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
 @click.argument("source")
 @click.option("--out", type=PATH, help="file to write; its suffix is its format; without it the table is described")
 @click.option("--vehicle", help="with body points: the vehicle whose control points get tables; --out is then a folder")
-@click.option("--farthest", default=0.5, show_default=True, help="with --vehicle: most distance of a body point, m")
+@click.option(
+    "--farthest",
+    type=NumberRange(min=0.0),
+    default=0.5,
+    show_default=True,
+    help="with --vehicle: most distance of a body point, m",
+)
 @FORCE
 @ROOT
 def table(source: str, out: Path | None, vehicle: str | None, farthest: float, root: Path | None) -> None:
@@ -289,7 +305,12 @@ def _tables_of_body_points(source: Path, vehicle: str, out: Path | None, farthes
     loaded = load_vehicle(vehicle, root=root)
     positions = {name: loaded.control_point(name).position_m for name in loaded.control_points}
     tables = tables_of_body_points(
-        source, positions, loaded.reference_length_m, farthest_m=farthest_m, reference=loaded.heating.reference
+        source,
+        positions,
+        loaded.reference_length_m,
+        farthest_m=farthest_m,
+        reference=loaded.heating.reference,
+        nose_radius_m=loaded.heating.nose_radius_m,
     )
     paths = [out / f"{name}.csv" for name in tables]
     for path in paths:

@@ -140,7 +140,7 @@ FORMATS: tuple[FileFormat, ...] = (
         "Read by `run`, `synthesize`, `design`, `figures` and `fmu trajectory`. A manoeuvre begins when speed or Mach "
         "falls through a value, or at a time: exactly one of `at_velocity_m_s`, `at_mach`, `at_time_s`.",
         "scenarios/popu_mach20.toml", "inputs.scenario:ScenarioFile",
-        ("scenarios/*.toml", "examples/entry_fmu.toml", "examples/shock_passage.toml"),
+        ("scenarios/*.toml", "examples/entry_fmu.toml", "examples/shock_passage.toml", "examples/flow_separation.toml"),
     ),
     ModelFormat(
         "credibility", "credibility.toml", "credibility: signed reviews of a vehicle or a record",

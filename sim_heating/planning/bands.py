@@ -20,6 +20,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.special import ndtr
@@ -27,7 +28,8 @@ from scipy.special import ndtr
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.parameters import AT, EFFECT_PREFIX
+from sim_heating.base.files import check, display_path, read_toml
+from sim_heating.base.parameters import AT, EFFECT_PREFIX, MODEL
 from sim_heating.closure.prior.model_error import MEASURED_FLIGHT, other_flight, stated_error
 from sim_heating.closure.revise.evidence import fitted_use
 from sim_heating.credibility.facts.contributors import SCALE, dispersed_temperatures, varied_models
@@ -37,6 +39,7 @@ from sim_heating.estimation.report.estimate_file import Estimate, read_estimate
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.effects import combined_uses, use
 from sim_heating.heating.ratio.uncertainty import declared_ratio, declared_sigma
+from sim_heating.inputs.fit_settings import FitSettings
 from sim_heating.inputs.points import conditions_of_record, flow_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import SensorErrors, lags_s
@@ -73,12 +76,34 @@ class Member:
 def read_member(
     path: str | os.PathLike[str], weight: float = 1.0, root: str | os.PathLike[str] | None = None
 ) -> Member:
-    """An estimate.json, or the one in a directory, as a member.
+    """An estimate.json, or the one in a directory, or the priors of a file of settings, as a member.
 
     raises : InputError where it cannot be read, or the records that were fitted are not there or were changed
     """
+    if Path(path).suffix == ".toml":
+        return Member(priors_as_estimate(path), weight)
     estimate = read_estimate(path)
     return Member(estimate, weight, considered(estimate, fitted_records(estimate, path, root)))
+
+
+def priors_as_estimate(path: str | os.PathLike[str]) -> Estimate:
+    """The priors of a file of settings, such as `next_flight.toml` of a campaign, as an estimate without records.
+
+    raises : InputError where the file cannot be read, or states no prior, or one of a derivative, whose reference
+             condition a model of another flight would need
+    """
+    priors = {n: p for n, p in read_toml(path, FitSettings).priors.items() if np.isfinite(p[1])}
+    derivatives = [name for name in priors if name.startswith("ratio.d_")]
+    if derivatives or not priors:
+        rule = f"`{derivatives[0]}` is of a fit alone" if derivatives else "states no [mean, sigma] of a parameter"
+        raise InputError(f"{display_path(path)}, [prior]: {rule}; give an estimate.json, or priors of the wall")
+    parameters = {
+        n: {"value": mean, "sigma": sigma, "unit": MODEL[own].unit if (own := n.partition(AT)[0]) in MODEL else ""}
+        for n, (mean, sigma) in priors.items()
+    }
+    stated = {"format": "estimate/1", "records": [str(path)], "converged": True, "iterations": 0}
+    anywhere = dict.fromkeys(RATIO_VARIABLES, 0.0)
+    return check(stated | {"reference_condition": anywhere, "parameters": parameters}, Estimate, display_path(path))
 
 
 DECLARED = (Member(None),)
@@ -369,10 +394,13 @@ def predict_with_band(
 
 
 def members_of_point(members: Sequence[Member], name: str) -> list[Member]:
-    """The members for a control point: an estimate of another one leaves it as declared, with its weight."""
-    return [
-        m if m.estimate is None or m.estimate.control_point in (None, name) else Member(None, m.weight) for m in members
-    ]
+    """The members for a control point: an estimate of others leaves it as declared, with its weight."""
+
+    def is_of_point(estimate: Estimate) -> bool:
+        owners = {label.partition(AT)[2] for label in estimate.parameters}
+        return estimate.control_point in (None, name) and bool(owners & {"", name})
+
+    return [m if m.estimate is None or is_of_point(m.estimate) else Member(None, m.weight) for m in members]
 
 
 def with_bands(result: RunResult, members: Sequence[Member] = DECLARED) -> RunResult:

@@ -184,7 +184,10 @@ DAMAGED = {
     "misspelt key of a manoeuvre": (SHORT + POPU + "at_time_s = 3.0\nrate_deg = 2.0\n", "did you mean `rate_deg_s`"),
     "manoeuvre backwards": (SHORT + POPU + "at_time_s = 3.0\nrate_deg_s = -1.0\n", "must be above 0"),
     "unknown effect": (SHORT + '[[effect]]\nname = "transitoin"\n', "did you mean `transition`"),
-    "effect of nobody": (SHORT + '[[effect]]\nname = "swirl"\n', "your own are read from the folders in SIM_HEATING"),
+    "effect of nobody": (
+        SHORT + '[[effect]]\nname = "swirl"\n',
+        "your own are read from packages, and from the folders in SIM_HEATING",
+    ),
     "effect out of bounds": (SHORT + '[[effect]]\nname = "transition"\nparameters = { factor = 50.0 }\n', "1 to 20"),
     "unknown truth": (SHORT + '[truth]\nparameters = { "ratio.sclae" = 0.1 }\n', "did you mean `ratio.scale`"),
     "fault of no sensor": (SHORT + '[[measurements.fault]]\nsensor = "V09T9528"\n', "did you mean `V09T9527`"),

@@ -49,8 +49,18 @@ def test_an_unknown_name_is_refused_as_a_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["run", "popu_mach21", "--out", "out"]) == 2
-    assert "popu_mach21" in capsys.readouterr().err
+    assert main(["run", "my_entry", "--out", "out"]) == 2
+    assert "error: my_entry: there is no such file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "meant"), [("popu_mach2", "popu_mach20"), ("p08", "practice/p08")])
+def test_a_misspelt_example_is_refused_with_the_one_that_was_meant(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, meant: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["validate", name]) == 2
+    rule = f"{name}: is no file of this folder and no shipped example; did you mean `{meant}`?"
+    assert rule in capsys.readouterr().err
 
 
 def test_examples_are_copied_and_a_changed_copy_is_kept(

@@ -77,6 +77,22 @@ def test_a_run_repeated_has_the_same_bytes_and_netcdf(home: Path, capsys: pytest
 
 
 @pytest.mark.thorough
+def test_a_campaign_repeated_names_its_records_in_another_folder_and_is_the_same(
+    home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    popu = "[[trajectory.manoeuvre]]\nkind = 'popu'\nat_time_s = 60.0\ndown_deg = 3.0\nup_deg = 3.0\nrate_deg_s = 1.0\n"
+    Path("flight.toml").write_text(gliding(150.0, "V09T9527") + popu)
+    fit = '[[flight]]\nscenario = "flight.toml"\nseeds = [1]\n[fit]\nparameters = ["ratio.scale"]\n'
+    head = 'format = "campaign/1"\ntitle = "One"\nvehicle = "orbiter"\nclose_loop = false\nupdate_tables = false\n'
+    Path("one.toml").write_text(head + fit)
+    assert main(["campaign", "one.toml", "--workers", "1", "--out", "out", "--quiet"]) == 0
+    assert list(Path("out").glob("fits/**/estimate.json"))
+    capsys.readouterr()
+    found = run_json(capsys, "reproduce", "out")["results"]
+    assert (found["same"], found["differences"]) == (found["files"], [])
+
+
+@pytest.mark.thorough
 def test_v_logs_what_is_written_to_standard_error(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["predict", "tile", "--out", "out", "-v"]) == 0
     assert "INFO sim_heating.base.files.results: predict: wrote" in capsys.readouterr().err

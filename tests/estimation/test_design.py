@@ -137,6 +137,14 @@ def test_a_known_parameter_gains_less_than_an_unknown_one():
 
 
 @pytest.mark.thorough
+def test_a_planned_record_warns_of_no_file(
+    planner: Planner, planned: PlannedFlight, recwarn: pytest.WarningsRecorder
+) -> None:
+    """Its readings last a small part of the flight; no user wrote them."""
+    planner.experiment(planned, NAMES, {})
+    assert not recwarn.list
+
+
 def test_longer_words_faster_samples_and_better_clocks_never_hurt(planned_experiment):
     def bound(e: Experiment) -> float:
         return float(e.sigma((D_ALPHA,))[0])

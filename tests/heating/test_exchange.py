@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
+from sim_heating.heating.atmosphere import standard_speed_of_sound, us76
 from sim_heating.heating.exchange.body_points import tables_of_body_points
 from sim_heating.heating.exchange.dave_ml import dave_ml_text, read_dave_ml, write_dave_ml
 from sim_heating.heating.exchange.ratio_formats import FORMATS, read_table, write_table
+from sim_heating.heating.reference.gas import wall_enthalpy_grid
+from sim_heating.heating.reference.models import reference_heating
 from tests.support.paths import ROOT
 
 SHIPPED = ROOT / "aircraft_data" / "orbiter" / "ratio_tables" / "BODYFLAP.csv"
@@ -80,6 +84,30 @@ def test_a_model_comes_back_from_its_file_to_1e_9(model_file):
     before, after = model.evaluate(x), again.evaluate(x)
     assert max(float(np.max(np.abs(before[i] - after[i]))) for i in before) <= 1e-9
     assert dave_ml_text(again) == dave_ml_text(model)
+
+
+def test_an_input_with_an_initial_value_stays_an_input(model_file):
+    """Such as those of NASA's F-16_prop.dml: an initial value stands in for an input that is not given."""
+    text = MODEL.replace('minValue="-5"', 'minValue="-5" initialValue="5"').replace("{lift}", repr(float(LIFT)))
+    model_file.write_text(text)
+    model = read_dave_ml(model_file)
+    assert model.inputs == ("alpha", "M")
+    assert repr(model) == "<DaveModel 'glider': 2 inputs, 1 outputs, 1 check cases>"
+    assert float(model.evaluate({"M": 1.25})["lift"]) == pytest.approx(LIFT)
+    with pytest.raises(InputError, match="`aplha` is no variable of the model; did you mean `alpha`"):
+        model.evaluate({"M": 1.25, "aplha": 5.0})
+
+
+def test_a_ratio_over_inputs_with_initial_values_keeps_all_its_nodes(tmp_path):
+    table = read_table(SHIPPED)
+    write_table(tmp_path / "table.dml", table)
+    text = (tmp_path / "table.dml").read_text()
+    changed = text.replace('name="angleOfAttack"', 'name="angleOfAttack" initialValue="40"', 1)
+    assert changed != text
+    (tmp_path / "table.dml").write_text(changed)
+    again = read_table(tmp_path / "table.dml")
+    assert np.array_equal(again.axes[0], table.axes[0])
+    assert np.max(np.abs(again.ratio - table.ratio)) <= 1e-9
 
 
 @pytest.mark.skipif("DAVE_ML_MODELS" not in os.environ, reason="DAVE_ML_MODELS names a folder of public models")
@@ -192,6 +220,60 @@ def test_mach_with_altitude_gives_the_reynolds_number(tmp_path):
     file.write_text("\n".join([HEAD + "mach,altitude_m,film_kg_m2_s,h_ref_kg_m2_s", *lines]) + "\n")
     log_re = tables_of_body_points(file, {"A": (1.0, 0.0, 0.0)}, 32.8)["A"].axes[2]
     assert log_re[1] - log_re[0] == pytest.approx(np.log10(20.0 / 15.0), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("head", "units"),
+    [
+        ("x_m,y_m,z_m,alpha_deg,mach,altitude_m,film_kg_m2_s", (1.0, 1.0, 1.0)),
+        ("X [in],Y [in],Z [in],Alpha (rad),Mach,Altitude [kft],T_wall [degF],q (W/cm^2)", (0.0254, 304.8, 1e4)),
+        ("x_ft,y_ft,z_ft,alpha_deg,mach,altitude_km,wall_K,q_btu_ft2_s", (0.3048, 1e3, 11356.53)),
+    ],
+)
+def test_a_solvers_heating_in_its_units_is_over_a_computed_sphere(tmp_path, head, units):
+    """Ratio 0.3 everywhere: the file has film coefficient or flux of the point alone, of a wall of 900 K.
+
+    units : of length [m], altitude [m] and heating in the file
+    """
+    length, height, flux = units
+    H_w = float(wall_enthalpy_grid("equilibrium-air", [900.0], [2e3])[0, 0])
+    lines = []
+    for alpha in (20.0, 40.0):
+        for mach, z in ((12.0, 50e3), (20.0, 65e3)):
+            T, _, rho = us76([z])
+            flown = Conditions(
+                {
+                    "time_s": np.zeros(1),
+                    "velocity_m_s": mach * standard_speed_of_sound(np.array([z])),
+                    "T_inf_K": T,
+                    "rho_kg_m3": rho,
+                }
+            )
+            h, H_r, _ = reference_heating("sutton-graves", flown, nose_radius_m=2.0)
+            wall = ["1160.33"] if "degF" in head else ["900"] if "wall_K" in head else []
+            angle = np.radians(alpha) if "rad" in head else alpha
+            heating = 0.3 * h[0] * ((H_r[0] - H_w) / flux if wall else 1.0)
+            row = [1.0 / length, 0.0, 0.0, angle, mach, z / height, *wall, heating]
+            lines.append(",".join(map(str, row)))
+    (tmp_path / "cfd.csv").write_text("\n".join([head, *lines]) + "\n")
+    file, at = tmp_path / "cfd.csv", {"A": (1.0, 0.0, 0.0)}
+    table = tables_of_body_points(file, at, 10.0, reference="sutton-graves", nose_radius_m=2.0)["A"]
+    assert table.axes[0] == pytest.approx([20.0, 40.0])
+    assert table.ratio == pytest.approx(0.3, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("head", "message"),
+    [
+        ("x [kg],y_m,z_m,alpha_deg", "column `x .kg.`: `kg` is no unit of m; write `x_m`, or its unit in brackets"),
+        ("x,y_m,z_m,alpha_deg", "column `x`: states no unit; write `x_m`"),
+        ("x_m,y_m,z_m", "there is no column `alpha_deg`"),
+    ],
+)
+def test_a_head_without_a_unit_that_fits_is_refused(tmp_path, head, message):
+    (tmp_path / "cfd.csv").write_text(f"{head}\n1,0,0,20\n")
+    with pytest.raises(InputError, match=rf"cfd\.csv.*{message}"):
+        tables_of_body_points(tmp_path / "cfd.csv", {"A": (1.0, 0.0, 0.0)}, 10.0)
 
 
 @pytest.mark.parametrize(

@@ -410,6 +410,34 @@ def test_the_example_peaks_at_its_mach_number_and_is_flown_by_its_scenario(monke
         assert value == pytest.approx(factor, abs=1e-12)
 
 
+@pytest.mark.thorough
+def test_the_loop_tells_a_separated_flow_before_the_elevon(tmp_path, monkeypatch):
+    """The example with a source: beyond 0.7 of the deflection of Needham and Stollery heating is half as much again."""
+    monkeypatch.setenv("SIM_HEATING_EFFECTS", str(ROOT / "examples" / "separation"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["synthesize", str(ROOT / "examples" / "flow_separation.toml"), "--out", "separated"]) == 0
+    assert main(["close-loop", "separated", "--workers", "1", "--out", "closed"]) == 0
+    told = json.loads((tmp_path / "closed" / "closure.json").read_text())
+    assert told["finding"] == "found"
+    (cause,) = told["effects"]
+    assert cause["name"] == "flow-separation"
+    for name, truth in (("rise", 0.5), ("onset", 0.7), ("width", 0.5)):
+        value, sigma = (cause["parameters"][name][key] for key in ("value", "sigma"))
+        assert abs(value - truth) < 3.0 * sigma
+
+
+def test_separation_begins_where_needham_and_stollery_saw_it(monkeypatch):
+    """At Mach 10 and Re 1e6 a laminar flow separates before a wedge of 80 sqrt(10) / 1e6**0.25 = 8.0 deg."""
+    monkeypatch.setenv("SIM_HEATING_EFFECTS", str(ROOT / "examples" / "separation"))
+    kernel = effects()["flow-separation"].kernel
+    flown = np.zeros(1 + max(v for v in vars(flight).values() if isinstance(v, int)))
+    flown[flight.mach], flown[flight.log10_re] = 10.0, 6.0
+    for elevon_deg, factor in ((8.0 - 5.0, 1.0), (8.0, 1.25), (8.0 + 5.0, 1.5)):
+        flown[flight.elevon_deg] = elevon_deg
+        value = kernel(np.concatenate([flown, [0.5, 1.0, 0.1]]), 0, len(flown), 300.0)
+        assert value == pytest.approx(factor, abs=2e-3)
+
+
 INTERPRETED = """
 from sim_heating import flight
 from sim_heating.heating.effects import effect

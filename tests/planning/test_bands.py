@@ -13,12 +13,21 @@ import pytest
 from scipy.special import ndtr
 
 from sim_heating import cli
+from sim_heating.base.errors import InputError
+from sim_heating.base.parameters import MODEL
 from sim_heating.closure.prior.model_error import other_flight
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.report.estimate_file import read_estimate, write_estimate
 from sim_heating.estimation.report.report import estimate_contents
 from sim_heating.inputs.record import load_record
-from sim_heating.planning.bands import Member, Spread, mixture_quantile, predict_with_band
+from sim_heating.planning.bands import (
+    Member,
+    Spread,
+    members_of_point,
+    mixture_quantile,
+    predict_with_band,
+    read_member,
+)
 from sim_heating.planning.considered import considered
 from tests.support.paths import ROOT, SCENARIOS
 
@@ -128,6 +137,59 @@ def test_an_estimate_with_the_error_of_its_model_predicts_with_a_band(tmp_path: 
     band = json.loads((out / "summary.json").read_text())["band"]
     assert {"estimate", "model"} <= set(band["sources_K"])
     assert band["within"] > 0.9
+
+
+@pytest.mark.thorough
+def test_a_prediction_with_a_member_states_the_estimate_as_input_and_its_band_as_uncertainty(tmp_path: Path):
+    held, _ = fitted()
+    write_estimate(tmp_path / "estimate.json", held)
+    command = ["predict", str(P06), "--bands", "--member", str(tmp_path / "estimate.json"), "1"]
+    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 0
+    told = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert set(told["provenance"]["inputs"]) == {"scenarios/records/practice/p06", str(tmp_path / "estimate.json")}
+    assert told["credibility"]["factors"]["uncertainty_characterization"]["level"] >= 2
+    stated = told["credibility"]["uncertainty"]
+    sources_K = {name: part["sigma"] for name, part in stated["contributions"].items()}
+    assert sources_K == pytest.approx(told["band"]["sources_K"])
+
+
+@pytest.mark.thorough
+def test_the_next_flight_is_predicted_with_what_a_campaign_knows_of_its_wall(tmp_path: Path):
+    """An emittance of 0.9 +- 0.01 of what is declared: hotter by nearly 0.9**-0.25 in radiative equilibrium."""
+    (tmp_path / "next_flight.toml").write_text(f'[prior]\n"{EMITTANCE}@LS" = [0.9, 0.01]\n')
+    aged = read_member(tmp_path / "next_flight.toml")
+    record = load_record(P06)
+    declared, known = predict_with_band(record), predict_with_band(record, [aged])
+    hottest = int(np.nanargmax(declared.history.surface_K))
+    rise_K = (known.history.surface_K - declared.history.surface_K)[hottest]
+    assert rise_K / declared.history.surface_K[hottest] == pytest.approx(0.9**-0.25 - 1.0, rel=0.05)
+    narrower, wider = (p.history.band.sources for p in (known, declared))
+    slope = 0.9**-1.25  # of the temperature over the emittance, over that at 1
+    assert narrower["estimate"] == pytest.approx(wider[EMITTANCE] * slope * 0.01 / MODEL[EMITTANCE].sigma, rel=0.05)
+    assert members_of_point([aged], "V09T9527") == [Member(None)]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('"ratio.d_alpha" = [0.0, 1.0]', "[prior]: `ratio.d_alpha` is of a fit alone; give an estimate.json"),
+        (f'"{EMITTANCE}" = "flat"', "[prior]: states no [mean, sigma] of a parameter"),
+        (f'"{EMITTANCE}" = [1.0, -1.0]', "`sigma`: -1.0 must not be below 0"),
+    ],
+)
+def test_settings_that_say_nothing_of_another_flight_are_refused(tmp_path: Path, text: str, message: str):
+    (tmp_path / "next.toml").write_text(f"[prior]\n{text}\n")
+    with pytest.raises(InputError, match=re.escape(message)) as error:
+        read_member(tmp_path / "next.toml")
+    assert "next.toml" in str(error.value)
+
+
+@pytest.mark.parametrize("weight", ["0", "-1", "nan", "inf", "half"])
+def test_a_weight_that_is_no_number_above_0_is_refused(tmp_path: Path, capsys, weight: str):
+    command = ["predict", str(P06), "--bands", "--member", str(P06 / "record.toml"), weight]
+    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: Invalid value for '--member': ")
 
 
 def test_the_clock_of_a_flight_shifts_all_that_is_predicted(tmp_path: Path):

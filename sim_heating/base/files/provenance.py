@@ -28,6 +28,10 @@ PROVENANCE = "provenance"
 """Key of the block in a JSON file, and name of the attribute of a netCDF file."""
 
 
+INPUT_FOLDERS = ("vehicle.toml", "estimate.json")
+"""Files by which a folder that an option names is an input."""
+
+
 @dataclass(frozen=True, eq=False)
 class Origin:
     """Origin of the results in one output directory.
@@ -48,7 +52,7 @@ class Origin:
         return {
             "command": None if stated is None else stated["arguments"],
             "folder": "." if stated is None else _below(self.target, stated["out"]),
-            "inputs": {input_name(path): input_digest(path) for path in self.inputs},
+            "inputs": {input_name(p): input_digest(p) for p in (*self.inputs, *_named_files(stated))},
             "seed": self.seed,
             "versions": versions(),
             "platform": system(),
@@ -141,6 +145,12 @@ def input_digest(path: Path) -> str:
         if not any(folder.startswith((".", "__pycache__")) for folder in name.parts):
             digest.update(f"{name.as_posix()}\0{file_digest(file)}\0".encode())
     return f"sha256:{digest.hexdigest()}"
+
+
+def _named_files(stated: Mapping[str, Any] | None) -> list[Path]:
+    """Files, vehicles and folders of an estimate that the arguments of a command name, such as those of options."""
+    paths = [] if stated is None else [Path(argument) for argument in stated["arguments"]]
+    return [p for p in paths if os.path.isfile(p) or any(os.path.isfile(p / name) for name in INPUT_FOLDERS)]
 
 
 def _below(target: Path, out: str) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import COMPILING, OUT, PATH, ROOT, progress_line
+from sim_heating.cli.console import COMPILING, OUT, PATH, ROOT, NumberRange, progress_line
 from sim_heating.cli.new.options import flight_options, points_option, quantity_option, title_option
 from sim_heating.cli.new.printing import print_made, print_notes
 
@@ -19,12 +19,10 @@ from sim_heating.cli.new.printing import print_made, print_notes
 @points_option("all")
 @quantity_option("--altitude", "m", "altitude_m", "120km", "H", "altitude of the entry; default 120 km")
 @quantity_option("--speed", "m/s", "velocity_m_s", "7450m/s", "V", "speed relative to the air; default 7450 m/s")
-@click.option(
-    "--gamma", type=click.FloatRange(-89.0, 10.0), help="path angle in deg; default -1.2 for a glider, else -1.5"
-)
+@click.option("--gamma", type=NumberRange(-89.0, 10.0), help="path angle in deg; default -1.2 for a glider, else -1.5")
 @click.option(
     "--until-mach",
-    type=click.FloatRange(0.2, 30.0),
+    type=NumberRange(0.2, 30.0),
     default=2.0,
     show_default=True,
     help="Mach number at which the flight ends",

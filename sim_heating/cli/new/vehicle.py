@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from sim_heating.cli.console import OUT
+from sim_heating.cli.console import OUT, NumberRange
 from sim_heating.cli.named_values import named_texts
 from sim_heating.cli.new.options import quantity_option, title_option
 from sim_heating.cli.new.printing import print_made, print_notes
@@ -54,21 +54,21 @@ from sim_heating.cli.new.printing import print_made, print_notes
 @click.option(
     "--alpha",
     "alpha_deg",
-    type=click.FloatRange(-60.0, 60.0),
+    type=NumberRange(-60.0, 60.0),
     default=20.0,
     show_default=True,
     help="angle of attack of the entry in deg, negative for a capsule that trims there",
 )
 @click.option(
     "--drag-coefficient",
-    type=click.FloatRange(0.01, 5.0),
+    type=NumberRange(0.01, 5.0),
     default=1.3,
     show_default=True,
     help="CD over the reference area",
 )
 @click.option(
     "--lift-to-drag",
-    type=click.FloatRange(0.0, 5.0),
+    type=NumberRange(0.0, 5.0),
     default=0.3,
     show_default=True,
     help="L/D at that angle of attack",

@@ -26,6 +26,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import EFFECT_PREFIX, MODEL
 from sim_heating.heating.ratio.uncertainty import declared_ratio, declared_sigma
 from sim_heating.march.ensemble import Ensemble, histories
+from sim_heating.march.history import PointHistory
 from sim_heating.march.mesh_choice import meshes_on_flights
 from sim_heating.march.point import PointModel
 
@@ -104,6 +105,15 @@ def peak_uncertainty(
         return None
     method = "each declared standard deviation marched once; independent and linear"
     return combined(f"highest surface temperature of {model.name}", "K", float(peaks[0]), kept, method)
+
+
+def band_uncertainty(history: PointHistory) -> Uncertainty | None:
+    """Uncertainty of the highest surface temperature of a point [K] by the sources of its band; None without a band."""
+    if history.band is None:
+        return None
+    quantity = f"highest surface temperature of {history.name}"
+    highest_K = float(np.nanmax(history.surface_K))
+    return combined(quantity, "K", highest_K, history.band.sources, "the 95 % band; independent and linear")
 
 
 def dispersed_temperatures(

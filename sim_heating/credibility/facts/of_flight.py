@@ -10,7 +10,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import display_path, file_digest
-from sim_heating.credibility.facts.contributors import declares_sigma, peak_uncertainty
+from sim_heating.credibility.facts.contributors import band_uncertainty, declares_sigma, peak_uncertainty
 from sim_heating.credibility.facts.sources import conditions_of_scenario, inputs_of_point
 from sim_heating.credibility.facts.topics import topics_of_points, topics_of_trajectory
 from sim_heating.credibility.reviews import digest_of
@@ -43,7 +43,7 @@ def facts_of_flight(
     model_inputs = [i for p, m in zip(points, models, strict=True) for i in inputs_of_point(vehicle, p, m.effects)]
     critical = _critical(histories, limits)
     hottest_s = peak(histories[critical].time_s, histories[critical].surface_K)[1]
-    uncertainty = peak_uncertainty(
+    uncertainty = band_uncertainty(histories[critical]) or peak_uncertainty(
         models[critical], flights[critical], hottest_s, scenario.declared.heating.longest_step_s
     )
     digest = digest_of(vehicle)
@@ -55,7 +55,7 @@ def facts_of_flight(
         files={display_path(scenario.path): file_digest(scenario.path), f"vehicle {vehicle.name}": digest},
         samples=tuple(samples_of(f, h.surface_K) for f, h in zip(flights, histories, strict=True)),
         mesh_error_K=greatest_error_K(h.mesh_error_K for h in histories),
-        sigma=all(declares_sigma(m, f) for m, f in zip(models, flights, strict=True)),
+        sigma=all(h.band or declares_sigma(m, f) for m, f, h in zip(models, flights, histories, strict=True)),
         uncertainty=uncertainty,
         holds=_holds(histories, limits, critical, None if uncertainty is None else uncertainty.sigma),
         folder=vehicle.directory,

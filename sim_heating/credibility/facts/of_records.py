@@ -13,7 +13,13 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.parameters import SHORT_NAMES
-from sim_heating.credibility.facts.contributors import Uncertainty, combined, declares_sigma, peak_uncertainty
+from sim_heating.credibility.facts.contributors import (
+    Uncertainty,
+    band_uncertainty,
+    combined,
+    declares_sigma,
+    peak_uncertainty,
+)
 from sim_heating.credibility.facts.sources import conditions_of_record, inputs_of_record
 from sim_heating.credibility.facts.topics import topics_of_record
 from sim_heating.credibility.reviews import digest_of
@@ -50,7 +56,9 @@ def facts_of_record(
     inside = np.isfinite(history.surface_K) & (t >= span[0]) & (t <= span[1])
     times, surface = t[inside], history.surface_K[inside]
     digest = digest_of(record) if os.path.isdir(record.directory) else ""
-    uncertainty = peak_uncertainty(model, flown, peak(times, surface)[1]) if with_peak and len(times) else None
+    uncertainty = band_uncertainty(history)
+    if uncertainty is None and with_peak and len(times):
+        uncertainty = peak_uncertainty(model, flown, peak(times, surface)[1])
     agreement = _within_uncertainty(record, residual_K, uncertainty)
     return Facts(
         kind=kind,
@@ -60,7 +68,7 @@ def facts_of_record(
         files={f"record {record.name}": digest} if digest else {},
         samples=(samples_of(record.conditions.at(times), surface),) if len(times) else (),
         mesh_error_K=history.mesh_error_K,
-        sigma=declares_sigma(model, record.conditions),
+        sigma=history.band is not None or declares_sigma(model, record.conditions),
         uncertainty=uncertainty,
         consistent=within_noise(record, residual_K),
         holds=agreement,
@@ -124,12 +132,16 @@ def held_out(fitted_K: float | None, held_K: float | None) -> Answer:
 
 
 def _within_uncertainty(record: Record, residual_K: FloatArray, uncertainty: Uncertainty | None) -> Answer:
-    """Whether measured and predicted temperatures differ by no more than two standard deviations."""
+    """Whether measured and predicted temperatures differ by no more than two standard deviations, with the noise of
+    the readings where all used sensors declare it."""
     if uncertainty is None:
         return NOT_LOOKED_AT
     used = [i for i, sensor in enumerate(record.sensors) if sensor.used]
-    rmse, bound = _rmse(residual_K[used]), SIGMAS * uncertainty.sigma
-    return Answer(bool(rmse <= bound), f"RMSE {rmse:.3g} K, two sigma of the highest temperature {bound:.3g} K")
+    is_noise_declared = all(s.noise_sigma_K is not None for s in record.used_sensors)
+    noise_K = record.noise_floor_K(record.read_mask) if is_noise_declared else 0.0
+    rmse, bound = _rmse(residual_K[used]), SIGMAS * float(np.hypot(uncertainty.sigma, noise_K))
+    text = f"RMSE {rmse:.3g} K, two sigma of the highest temperature and of the noise {bound:.3g} K"
+    return Answer(bool(rmse <= bound), text)
 
 
 def of_several(facts: Sequence[Facts]) -> Facts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
-from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.errors import InputError, UnusualWarning, error_context
 from sim_heating.base.files import display_path, raise_problems
 from sim_heating.base.kernels.lag import lag_columns
 from sim_heating.base.parameters import CLOCK_SKEW, PRESSURE_FACTOR, RECORD_PARAMETERS, SENSOR_PREFIX, SHORT_NAMES
@@ -343,9 +344,11 @@ class Planner:
         columns = {s.column: indicated_temperature(s, T) for s, T in zip(instruments.sensors, read, strict=True)}
         columns |= {t.column: np.interp(clock, flown.time_s, flown["p_surface_Pa"]) for t in instruments.transducers}
         tables = ratio_table_of(self.point), turbulent_table_of(self.point)
-        record = make_record(
-            declared, flown_columns(flown), {"time_s": clock, **columns}, tables[0], self.point.name, tables[1]
-        )
+        with warnings.catch_warnings():  # no file of a user has these columns
+            warnings.simplefilter("ignore", UnusualWarning)
+            record = make_record(
+                declared, flown_columns(flown), {"time_s": clock, **columns}, tables[0], self.point.name, tables[1]
+            )
         return record, start if design.start == "profile" else None
 
     def _marched(

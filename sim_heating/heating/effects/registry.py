@@ -183,7 +183,7 @@ def effect(name: str) -> Effect:
     by_name = built_in if name in (built_in := _built_in()) else effects()
     if name not in by_name:
         folders = os.environ.get(FOLDERS_VARIABLE) or "not set: set it to the folder of your file"
-        where = f" (your own are read from the folders in {FOLDERS_VARIABLE}, which is {folders}, and from packages)"
+        where = f" (your own are read from packages, and from the folders in {FOLDERS_VARIABLE}, which is {folders})"
         raise InputError(f"unknown effect `{name}`{suggestion(name, sorted(by_name))}{where}")
     return by_name[name]
 

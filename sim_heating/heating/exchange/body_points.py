@@ -8,15 +8,19 @@ log10_re, re, and mach with altitude_m; and one of
 
     film_kg_m2_s with h_ref_kg_m2_s     film coefficient of the point, and of the reference sphere in that case
     q_W_m2 with q_ref_W_m2              flux at the point and at the reference sphere, of walls of one temperature
+    film_kg_m2_s; q_W_m2 with wall_K    with mach and altitude_m: the reference sphere is computed, in the standard
+                                        atmosphere, and the enthalpy of the wall from its temperature
 
-of which the ratio is the heating ratio: q = h (H_r - H_w), with the same H_r - H_w at both. Every control point takes
-the nearest body point of each case. The cases have to make a full grid of angle of attack, sideslip and log10 Re.
+of which the ratio is the heating ratio: q = h (H_r - H_w), with the same H_r - H_w at both. Heads may state other
+units, as `x [in]`, `alpha (rad)`, `q_btu_ft2_s`. Every control point takes the nearest body point of each case. The
+cases have to make a full grid of angle of attack, sideslip and log10 Re.
 
 Source: docs/theory/equations.md, equation 1.
 """
 
 from __future__ import annotations
 
+import csv
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,15 +28,33 @@ from pathlib import Path
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.errors import InputError
-from sim_heating.base.files import CsvTable, csv_text, display_path, read_csv_columns
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.files import CsvTable, csv_text, display_path, raise_problems
+from sim_heating.base.files.csv_table import csv_columns
+from sim_heating.base.files.text import read_text
+from sim_heating.base.files.units import Conversion, converted, name_and_unit
 from sim_heating.heating.atmosphere import free_stream, standard_speed_of_sound, us76
 from sim_heating.heating.ratio.table import RatioTable, table_of_text
+from sim_heating.heating.reference.gas import wall_enthalpy_grid
+from sim_heating.heating.reference.models import reference_heating
 
 POSITION = ("x_m", "y_m", "z_m")
 REYNOLDS = (("log10_re",), ("re",), ("mach", "altitude_m"))
 HEATING = (("film_kg_m2_s", "h_ref_kg_m2_s"), ("q_W_m2", "q_ref_W_m2"))
 """Columns of which one group has to be there: the Reynolds number, and the heating over that of the reference."""
+FLOW = REYNOLDS[2]
+COMPUTED = (("film_kg_m2_s", *FLOW), ("q_W_m2", "wall_K", *FLOW))
+"""Columns with which the reference is computed, where the file has none."""
+UNITS = dict.fromkeys((*POSITION, "altitude_m"), "m") | dict.fromkeys(("alpha_deg", "beta_deg"), "deg")
+UNITS |= dict.fromkeys(HEATING[0], "kg/(m2 s)") | dict.fromkeys(HEATING[1], "W/m2") | {"wall_K": "K"}
+"""Column -> its unit."""
+SHORT = {name.rpartition("_")[0]: name for name in (*POSITION, "alpha_deg", "beta_deg", "altitude_m")}
+SHORT |= {"film": HEATING[0][0], "h_ref": HEATING[0][1], "q": HEATING[1][0], "q_ref": HEATING[1][1], "t_wall": "wall_K"}
+SHORT |= {name: name for name in ("re", "mach", "log10_re")}
+"""Name in the head of a column, in small letters and without its unit, to the column."""
+WALL_PRESSURE_PA = 2e3
+"""Pressure of the air at the wall; its enthalpy depends on pressure above 2000 K alone."""
 CASE_DIGITS = 6
 """Decimals to which the Reynolds numbers of rows of one case agree."""
 
@@ -44,6 +66,7 @@ def tables_of_body_points(
     *,
     farthest_m: float = 0.5,
     reference: str | None = None,
+    nose_radius_m: float | None = None,
 ) -> dict[str, RatioTable]:
     """Ratio tables of control points.
 
@@ -52,14 +75,13 @@ def tables_of_body_points(
     reference_length_m : of the Reynolds number [m]; read with the column mach alone
     farthest_m         : most distance of a body point that stands for a control point [m]
     reference          : reference heating that the file's is, for the header of the tables
+    nose_radius_m      : of the reference sphere [m], where the file has the point's heating alone
     returns            : name -> table, of the points that have a body point within that distance
     raises             : InputError with file, row and column; none of the points is near a body point
     """
-    file = read_csv_columns(
-        path, (*POSITION, "alpha_deg"), ("beta_deg", *(n for g in (*REYNOLDS, *HEATING) for n in g))
-    )
+    file = _in_columns(Path(path))
     where = display_path(path)
-    ratio = _ratio(file, where)
+    ratio = _ratio(file, where, reference, nose_radius_m)
     log_re = np.round(_log10_re(file, where, reference_length_m), CASE_DIGITS)
     beta = file["beta_deg"] if "beta_deg" in file.columns else np.zeros(len(file))
     cases, case = np.unique(np.column_stack([file["alpha_deg"], beta, log_re]), axis=0, return_inverse=True)
@@ -104,7 +126,49 @@ def _group(file: CsvTable, groups: tuple[tuple[str, ...], ...], where: str) -> t
     raise InputError(f"{where}: lacks columns; give {choices}")
 
 
-def _ratio(file: CsvTable, where: str) -> FloatArray:
+def _in_columns(path: Path) -> CsvTable:
+    """The columns of a file, under their names here and in their units.
+
+    raises : InputError for a head with a unit of another quantity, or without one
+    """
+    lines = read_text(path).splitlines()
+    at = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
+    heads = [] if at is None else next(csv.reader([lines[at]]))
+    columns = [_column_and_unit(head, display_path(path)) for head in heads]
+    if at is not None:
+        lines[at] = ",".join(name for name, _ in columns)
+    optional = ("beta_deg", "wall_K", *(n for g in (*REYNOLDS, *HEATING) for n in g))
+    file = csv_columns(path, "\n".join(lines), (*POSITION, "alpha_deg"), optional)
+    return file.with_columns(
+        {n: u.factor * file[n] + u.offset for n, u in columns if u is not None and n in file.columns}
+    )
+
+
+def _column_and_unit(head: str, where: str) -> tuple[str, Conversion | None]:
+    """Column of a head, and the conversion of its unit; the head itself where it is no column of another unit."""
+    if head in UNITS:
+        return head, None
+    name, unit = name_and_unit(head, list(dict.fromkeys(UNITS.values())))
+    column = SHORT.get(name.lower())
+    if column is None or column not in UNITS:
+        return column or head, None
+    conversion = converted(unit, UNITS[column]) if unit else None
+    if conversion is None:
+        problem = f"`{unit}` is no unit of {UNITS[column]}" if unit else "states no unit"
+        raise InputError(f"{where}, column `{head}`: {problem}; write `{column}`, or its unit in brackets")
+    return column, conversion
+
+
+def _ratio(file: CsvTable, where: str, reference: str | None, nose_radius_m: float | None) -> FloatArray:
+    computed = next((names for names in COMPUTED if all(n in file.columns for n in names)), None)
+    has_reference = any(all(n in file.columns for n in names) for names in HEATING)
+    if computed is not None and not has_reference and reference is not None and nose_radius_m is not None:
+        h_ref, H_r = _reference_of(file, where, reference, nose_radius_m)
+        if computed == COMPUTED[0]:
+            return file["film_kg_m2_s"] / h_ref
+        raise_problems(file.celsius_problems("wall_K"))
+        H_w = wall_enthalpy_grid("equilibrium-air", file["wall_K"], [WALL_PRESSURE_PA])[:, 0]
+        return file["q_W_m2"] / (h_ref * (H_r - H_w))
     above, below = _group(file, HEATING, where)
     bad = np.flatnonzero(~(file[below] > 0.0))
     if bad.size:
@@ -112,15 +176,32 @@ def _ratio(file: CsvTable, where: str) -> FloatArray:
     return file[above] / file[below]
 
 
+def _reference_of(file: CsvTable, where: str, reference: str, nose_radius_m: float) -> tuple[FloatArray, FloatArray]:
+    """Film coefficient [kg/(m2 s)] and recovery enthalpy [J/kg] of the reference sphere in each row.
+
+    raises : InputError for a reference that needs more than speed and altitude
+    """
+    z, speed = _altitude_and_speed(file)
+    T_K, _, rho = us76(z)
+    flown = {"time_s": np.arange(len(z), dtype=float), "velocity_m_s": speed, "T_inf_K": T_K, "rho_kg_m3": rho}
+    with error_context(where):
+        h_ref, H_r, _ = reference_heating(reference, Conditions(flown), nose_radius_m=nose_radius_m)
+    return h_ref, H_r
+
+
+def _altitude_and_speed(file: CsvTable) -> tuple[FloatArray, FloatArray]:
+    """Altitude [m] and speed [m/s] of each row, in the standard atmosphere."""
+    raise_problems(file.problems_where_not("mach", file["mach"] > 0.0, "is not above 0"))
+    with error_context(display_path(file.path)):
+        return file["altitude_m"], file["mach"] * standard_speed_of_sound(file["altitude_m"])
+
+
 def _log10_re(file: CsvTable, where: str, reference_length_m: float) -> FloatArray:
     names = _group(file, REYNOLDS, where)
     if names == ("log10_re",):
         return file["log10_re"]
-    bad = np.flatnonzero(~(file[names[0]] > 0.0))
-    if bad.size:
-        raise InputError(file.problem(int(bad[0]), names[0], "is not above 0"))
-    if names == ("re",):
-        return np.log10(file["re"])
-    z = file["altitude_m"]
-    speed = file["mach"] * standard_speed_of_sound(z)
-    return free_stream(z, speed, us76(z)[2], reference_length_m)["log10_re"]
+    if names == FLOW:
+        z, speed = _altitude_and_speed(file)
+        return free_stream(z, speed, us76(z)[2], reference_length_m)["log10_re"]
+    raise_problems(file.problems_where_not("re", file["re"] > 0.0, "is not above 0"))
+    return np.log10(file["re"])

@@ -197,7 +197,7 @@ class CheckCase:
     results: tuple[Signal, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DaveModel:
     """A model of DAVE-ML.
 
@@ -215,6 +215,10 @@ class DaveModel:
     def __post_init__(self) -> None:
         raise_problems(self._problems())
 
+    def __repr__(self) -> str:
+        counts = f"{len(self.inputs)} inputs, {len(self.outputs)} outputs, {len(self.cases)} check cases"
+        return f"<DaveModel {self.title!r}: {counts}>"
+
     @cached_property
     def by_result(self) -> Mapping[str, Function]:
         """Functions by the identifier of their dependent variable."""
@@ -222,11 +226,13 @@ class DaveModel:
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:
-        """Identifiers of the variables that neither a calculation, a function nor an initial value gives."""
+        """Identifiers of the variables that the file marks as inputs, and of those that nothing else gives a value."""
         return tuple(
             i
             for i, v in self.variables.items()
-            if v.calculation is None and i not in self.by_result and "initialValue" not in v.attributes
+            if v.calculation is None
+            and i not in self.by_result
+            and ("isInput" in v.flags or "initialValue" not in v.attributes)
         )
 
     @cached_property
@@ -279,9 +285,12 @@ class DaveModel:
 
         values  : of the inputs, by identifier; of other variables in place of their initial values
         returns : by identifier, in the shape of the inputs, each in its unit, or [-]
-        raises  : InputError that names an input without a value
+        raises  : InputError that names an input without a value, or an identifier that no variable has
         Source: ANSI/AIAA S-119 (2011).
         """
+        unknown = next((i for i in values if i not in self.variables), None)
+        if unknown is not None:
+            raise InputError(f"`{unknown}` is no variable of the model{suggestion(unknown, self.inputs)}")
         by_identifier: dict[str, Any] = {}
         for i in self._order:
             v = self.variables[i]

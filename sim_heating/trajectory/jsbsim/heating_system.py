@@ -156,7 +156,8 @@ def jsbsim_system_text(
         )
     if recovery != "total":
         raise InputError(
-            f"{where or name}: its recovery enthalpy is `{recovery}`; a system of JSBSim has `total` alone"
+            f"{where or name}: its recovery enthalpy is `{recovery}`; a system of JSBSim has `total` alone; fly "
+            "the FMU of `fmu export`"
         )
     root = ET.Element("system", name=f"heating of {name}")
     root.append(ET.Comment(f" Radiative equilibrium of {name}: no conduction, no effects, laminar table. "))
