@@ -1,7 +1,8 @@
 """95 % bands of predicted temperatures, from everything that is uncertain about a prediction.
 
 The point is marched with each independent error at one standard deviation, all side by side
-(`credibility.facts.contributors.dispersed_temperatures`); the changes add in squares. Errors are
+(`credibility.facts.contributors.dispersed_temperatures`); the changes add in squares. Parameters of effects are at the
+end of their own band, of which the change is a part of 1.96: that of an onset is as large as the rise there. Errors are
 
     wall, effects   declared standard deviations, as in the uncertainty of a peak
     ratio table     its sigma along the flight, of one sign all along
@@ -23,7 +24,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
@@ -57,6 +58,8 @@ LEAST_TIME = 0.02
 """Weight of a correlation time below which the knots need not follow it [-]."""
 LEAST_WEIGHT = 1e-3
 """Weight of a size of the heating's error below which it is left out [-]."""
+EFFECT_STEP = float(ndtri(0.5 + 0.5 * BAND_PROBABILITY))
+"""Standard deviations by which parameters of effects are off [-]: those at which a band ends."""
 MODEL_PREFIXES = ("ratio.", "stack.", "back.", EFFECT_PREFIX)
 """Beginnings of the parameters of an estimate that another flight of its point has; clocks and sensors are of one."""
 
@@ -239,13 +242,14 @@ def heating_sizes(prior: HeatingErrorPrior | None, member: Member) -> ErrorSize 
 def _errors_of_point(
     model: PointModel, flown: Conditions, member: Member, with_table: bool
 ) -> Iterator[tuple[str, PointModel, Conditions]]:
-    """Label, model and conditions of each error of a point at one sigma: wall, effects, ratio table, estimate."""
+    """Label, model and conditions of each error of a point at one sigma: wall, effects (at EFFECT_STEP), ratio table,
+    estimate."""
     if member.estimate is None:
         central, names = model, list[str]()
     else:
         central, names = estimated_model(model, member.estimate), list(open_parameters(model, member))
     hottest = int(np.argmax(flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]))
-    for name, changed in varied_models(central, flown, hottest):
+    for name, changed in varied_models(central, flown, hottest, EFFECT_STEP):
         if name != SCALE and not any(central.same_parameter(name, n) for n in names):
             yield name, changed, flown
     if with_table and not any(n.startswith("ratio.") for n in names):
@@ -295,6 +299,8 @@ def spreads(
     sensors = slice(2, None)
     marched[:, sensors] = [sensed_temperatures(central, flown.time_s, T) for T in marched[:, sensors]]
     changes = marched[1:] - marched[0]
+    for label, change in zip(labels, changes[:first], strict=True):
+        change /= EFFECT_STEP if label.startswith(EFFECT_PREFIX) else 1.0
     peak = int(np.argmax(marched[0, 0]))
     squares = dict.fromkeys(labels, 0.0)
     for label, change in zip(labels, changes[:first, 0, peak], strict=True):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -19,7 +20,9 @@ from sim_heating.closure.prior.model_error import other_flight
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.report.estimate_file import read_estimate, write_estimate
 from sim_heating.estimation.report.report import estimate_contents
+from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import load_record
+from sim_heating.march.history import march_points
 from sim_heating.planning.bands import (
     Member,
     Spread,
@@ -27,6 +30,7 @@ from sim_heating.planning.bands import (
     mixture_quantile,
     predict_with_band,
     read_member,
+    spreads,
 )
 from sim_heating.planning.considered import considered
 from tests.support.paths import ROOT, SCENARIOS
@@ -66,6 +70,24 @@ def test_a_band_holds_the_readings_of_a_record_and_adds_in_squares():
     hottest = int(np.nanargmax(predicted.history.surface_K))
     assert half[hottest] == pytest.approx(1.959964 * np.sqrt(sum(s**2 for s in band.sources.values())), rel=0.02)
     assert np.all(half >= 0.0)
+
+
+def test_a_band_about_an_onset_is_no_wider_than_the_rise_there():
+    """The declared transition of a measured tile, which may come 0.07 decades earlier or later, and its wall."""
+    record = load_record(SCENARIOS / "records" / "sts96_597")
+    model, flown = point_of_record(record), conditions_of_record(record)
+    k = next(k for k, used in enumerate(model.effects) if used.effect.name == "transition")
+    onset = [p.name for p in model.effects[k].effect.parameters].index("log10_re_onset")
+
+    def surface_K(decades: float) -> np.ndarray:
+        values = list(model.effects[k].values)
+        values[onset] += decades
+        effects = (*model.effects[:k], replace(model.effects[k], values=tuple(values)), *model.effects[k + 1 :])
+        return march_points([replace(model, effects=effects)], [flown])[0].surface_K
+
+    rise = np.max(surface_K(-0.5) - surface_K(0.5))
+    (spread,) = spreads(model, flown, heating=None, with_table=False)
+    assert 0.5 * rise < 1.96 * np.max(spread.sigma_K[0]) < 1.1 * rise  # 1.4 of it with changes at one sigma
 
 
 @pytest.mark.thorough

@@ -141,10 +141,13 @@ def _variables(flown: Conditions) -> FloatArray:
     return np.stack([flown[name] for name in RATIO_VARIABLES], axis=1)
 
 
-def varied_models(model: PointModel, flown: Conditions, hottest: int) -> Iterator[tuple[str, PointModel]]:
+def varied_models(
+    model: PointModel, flown: Conditions, hottest: int, effect_step: float = 1.0
+) -> Iterator[tuple[str, PointModel]]:
     """Models with one parameter a standard deviation from its value, by the name of the parameter.
 
-    hottest : sample of the flight for which the sigma of the ratio table is taken
+    hottest     : sample of the flight for which the sigma of the ratio table is taken
+    effect_step : standard deviations by which a parameter of an effect is off [-]
     """
     at = _variables(flown)[hottest : hottest + 1]
     sigma = declared_sigma(model.ratio, at)
@@ -157,8 +160,8 @@ def varied_models(model: PointModel, flown: Conditions, hottest: int) -> Iterato
         for k, p in enumerate(used.definitions):
             if not 0.0 < p.sigma < math.inf:
                 continue
-            value = used.values[k] + p.sigma
-            value = value if value <= p.upper else used.values[k] - p.sigma
+            value = used.values[k] + effect_step * p.sigma
+            value = value if value <= p.upper else used.values[k] - effect_step * p.sigma
             values = (*used.values[:k], max(value, p.lower), *used.values[k + 1 :])
             effects = (*model.effects[:i], replace(used, values=values), *model.effects[i + 1 :])
             try:
