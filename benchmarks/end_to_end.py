@@ -31,6 +31,7 @@ from benchmarks.challenge.files import scenario_file
 from benchmarks.measure import Figure, save
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
 from sim_heating.closure.prior.table import undeclared_derivatives
 from sim_heating.closure.revise.errors import errors_before_and_after, held_fits
 from sim_heating.closure.revise.update import TableUpdate, prepare_update
@@ -100,7 +101,7 @@ class Result:
     """One fit.
 
     errors         : estimate less truth over sigma, by ratio parameter
-    errors are empty where the fit did not converge, and left_out then gives the reason
+    errors are empty where the fit did not converge or its revision was refused, and left_out then gives the reason
     fit            : RMSE [K] of the fit over the noise floor, of the fitted samples
     before, after  : the same with the tables before and after, from where the fit began
     from_entry     : the same with the tables after, from the first row of the conditions
@@ -126,7 +127,7 @@ class Result:
 
     @property
     def counted(self) -> bool:
-        """Whether the fit converged, of a model that could be right."""
+        """Whether the fit converged and revised the tables, of a model that could be right."""
         return bool(self.errors) and (self.scenario, self.point) not in UNDECLARED
 
 
@@ -268,17 +269,14 @@ def _fits(
         no_node = undeclared_derivatives(record, tuple(ALTERED))
         names = (*(n for n in ALTERED if n not in no_node), *FITTED_TOO.get(name, ()))
         fitted = estimate([record], names, starts=[start])
-        if not fitted.fit.converged:
+        place = folder / "fits" / f"{name}_{point.name}_{way}_{window.start_s:.0f}"
+        update = _revision(fitted, place, name)
+        if not isinstance(update, TableUpdate):
             lost = float("nan")
             yield Result(
-                name, point.name, folder.name, way, window.start_s, {}, lost, lost, lost, lost, {}, lost, {},
-                fitted.warnings,
-            )  # fmt: skip
+                name, point.name, folder.name, way, window.start_s, {}, lost, lost, lost, lost, {}, lost, {}, update
+            )
             continue
-        place = folder / "fits" / f"{name}_{point.name}_{way}_{window.start_s:.0f}"
-        place.mkdir(parents=True)
-        write_estimate(place / NAME, estimate_contents(fitted))
-        update = prepare_update(place, point_vehicle(name))
         (held,) = held_fits(update).values()
         floor = held.noise_floor_K
         again = load_record(folder / f"{name}_other" / point.name)
@@ -297,6 +295,18 @@ def _fits(
             held.fit_K / floor, held.before_K / floor, held.after_K / floor, held.from_entry_K / floor, held.not_held,
             seed, checked, (*no_node, *fitted.not_estimated),
         )  # fmt: skip
+
+
+def _revision(fitted: FitResult, place: Path, name: str) -> TableUpdate | tuple[str, ...]:
+    """The tables of a scenario's vehicle with an estimate in them, or why they have it not."""
+    if not fitted.fit.converged:
+        return tuple(fitted.warnings)
+    place.mkdir(parents=True)
+    write_estimate(place / NAME, estimate_contents(fitted))
+    try:
+        return prepare_update(place, point_vehicle(name))
+    except InputError as error:
+        return (str(error).partition(": ")[2],)
 
 
 def _after_over_before(update: TableUpdate, record: Record) -> float:

@@ -1,15 +1,17 @@
-"""Records of another program without undeclared effects, fitted by default: coverage of the bounds.
+"""Records of another program without undeclared effects: coverage of the bounds.
 
 The records are those of `benchmarks/generator` (finite volumes, backward differences, its own flights, walls and
-recorders), derivatives about the generator's reference condition. Each is fitted as `estimate` does it, and once more
-without the correction of the mesh. Coverage is compared with the lower end of the binomial 99% interval.
+recorders), derivatives about the generator's reference condition. Each is fitted with magnitude and all derivatives,
+which is what its truth differs in, once more without the correction of the mesh, and with the parameters that
+`estimate` takes by default: derivatives that the record does not inform or that the table cannot hold are left out, and
+the others take up what they did. Coverage is compared with the lower end of the binomial 99% interval.
 """
 
 from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -21,43 +23,56 @@ from scipy.stats import binom
 
 from benchmarks.generator.record import make_and_write
 from benchmarks.measure import Figure, save
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import toml_text
 from sim_heating.base.parameters import SHORT_NAMES
-from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.inference.newton import maximise
 from sim_heating.estimation.report.report import sensor_residual_tests
 from sim_heating.inputs.record import load_record
 
 RECORDS, SEED, PROCESSES = 120, 20, 2
 NAMES = ("ratio.scale", *(f"ratio.d_{short}" for short in SHORT_NAMES))
+HOW = {
+    "corrected": "mesh corrected",
+    "uncorrected": "mesh uncorrected",
+    "default": "parameters by default",
+}
+"""Ways to fit, as rows and as figures name them."""
 
 
 def made_and_fitted(number: int, out: Path) -> dict[str, Any]:
     """Make a record and fit it; errors over sigmas, and whether the truth is inside, by parameter."""
     name, answer, _ = make_and_write((SEED, number, "none", out))
     answer = tomllib.loads(toml_text(answer))
-    fitted = estimate([load_record(out / name)], reference=answer["reference_condition"])
-    if not fitted.fit.converged:
-        raise RuntimeError(f"{name}: {fitted.fit.describe()[0]}")
-    truth = np.array([answer["true_errors"][label.removeprefix("ratio.")] for label in fitted.labels])
+    record, about = load_record(out / name), answer["reference_condition"]
+    fitted, by_default = estimate([record], NAMES, reference=about), estimate([record], reference=about)
+    for fit in (fitted.fit, by_default.fit):
+        if not fit.converged:
+            raise RuntimeError(f"{name}: {fit.describe()[0]}")
     white = [r.whiteness.p_value for r in sensor_residual_tests(fitted) if r.whiteness]
-    problem, half, sigma = fitted.problem, fitted.bounds.half_width(), fitted.bounds.sigma
-    values = {"corrected": fitted.fit.values}
-    for part in problem.record_fits:
-        part.correction_K = 0.0
-    values["uncorrected"] = maximise(problem.evaluate, problem.parameters, values["corrected"]).values
-    return {
+    row = {
         "record": name,
         "coloured_noise": answer["noise_colour"][0] > 0.0,
         "white": white,
-        "not_estimated": fitted.not_estimated,
-        **{
-            how: {
-                label: {"error_over_sigma": float(e / s), "inside": bool(abs(e) < h)}
-                for label, e, s, h in zip(fitted.labels, v - truth, sigma, half, strict=True)
-            }
-            for how, v in values.items()
-        },
+        "not_estimated": by_default.not_estimated,
+        "corrected": errors(fitted, fitted.fit.values, answer["true_errors"]),
+        "default": errors(by_default, by_default.fit.values, answer["true_errors"]),
+    }
+    problem = fitted.problem
+    for part in problem.record_fits:
+        part.correction_K = 0.0
+    uncorrected = maximise(problem.evaluate, problem.parameters, fitted.fit.values).values
+    return row | {"uncorrected": errors(fitted, uncorrected, answer["true_errors"])}
+
+
+def errors(fitted: FitResult, values: FloatArray, true_errors: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Error over sigma of each parameter, and whether its 95% bounds hold, at some values and a fit's bounds."""
+    truth = np.array([true_errors[label.removeprefix("ratio.")] for label in fitted.labels])
+    sigma, half = fitted.bounds.sigma, fitted.bounds.half_width()
+    return {
+        label: {"error_over_sigma": float(e / s), "inside": bool(abs(e) < h)}
+        for label, e, s, h in zip(fitted.labels, values - truth, sigma, half, strict=True)
     }
 
 
@@ -69,15 +84,15 @@ def coverage(rows: Sequence[dict[str, Any]], how: str, name: str) -> tuple[int, 
 
 
 def figures_of(rows: Sequence[dict[str, Any]]) -> list[Figure]:
-    """Coverage of every parameter with the correction of the mesh and without, and of the whiteness test."""
+    """Coverage of every parameter by each way to fit, and of the whiteness test."""
     figures = []
-    for how in ("corrected", "uncorrected"):
+    for how, named in HOW.items():
         for name in NAMES:
             hits, n, rms = coverage(rows, how, name)
             low, high = (float(limit) / n for limit in binom.interval(0.99, n, 0.95))
             note = f"{hits} of {n}, 99% limits {low:.3f} to {high:.3f}; error over sigma {rms:.2f} rms"
             target = round(low, 4) if how == "corrected" else None
-            figures.append(Figure(f"{name}: 95% bounds that hold, mesh {how}", hits / n, "", target, True, note))
+            figures.append(Figure(f"{name}: 95% bounds that hold, {named}", hits / n, "", target, True, note))
     for colour in (False, True):
         p = np.array([p for row in rows if row["coloured_noise"] is colour for p in row["white"]])
         what = "coloured" if colour else "white"
