@@ -24,6 +24,7 @@ from sim_heating.inputs.vehicle import library_materials
 from sim_heating.march.history import march_points
 from sim_heating.march.mesh_choice import choose_meshes
 from tests.closure.test_close_loop import simulated_record
+from tests.support.verification.inside import gas_layer
 from tests.support.walls import practice_record
 
 TILE = practice_record("p06")[0]
@@ -126,13 +127,24 @@ def test_materials_of_the_library_stand_in_for_those_of_their_class():
     offered = {c.what for c in material_changes(TILE)}
     assert {"layer li900 behaves as li2200", "layer al2024 behaves as ti-6al-4v"} < offered
     assert not {"layer al2024 behaves as li2200", "layer li900 behaves as li900"} & offered
-    gases = {name for name, material in library_materials().items() if material.kind == "gas"}
-    assert gases
-    assert not any(what.endswith(f" behaves as {gas}") for what in offered for gas in gases)
     change = next(c for c in material_changes(TILE) if c.what == "layer li900 behaves as li2200")
     changed = change.apply(TILE, 0.0)
     assert changed.construction.layer_materials()[1] == library_materials()["li2200"]
     assert changed.construction.layer_materials()[2:] == TILE.construction.layer_materials()[2:]
+
+
+def test_every_change_of_a_wall_with_a_layer_of_gas_is_a_wall():
+    """Two plates and the air between them: no contact at its faces, and their emittance with another plate, too."""
+    wall = gas_layer()
+    declared = TILE.declared.model_copy(update={"stack": wall.stack, "materials": wall.materials})
+    record = replace(TILE, declared=declared).with_sensors([TILE.sensors[0].model_copy(update={"depth_m": 0.0})])
+    changes = wall_changes(record)
+    assert not {c.what for c in changes if "contact" in c.what or "behaves as air" in c.what or "air behaves" in c.what}
+    for change in changes:
+        changed = change.apply(record, 0.0 if change.parameter is None else 1.1 * change.parameter.value).construction
+        assert changed.gas_layers == wall.gas_layers
+        assert changed.faces_exchange(1) == pytest.approx(wall.faces_exchange(1))
+    assert {"layer back plate behaves as al2024"} < {c.what for c in changes}
 
 
 def test_changes_of_the_wall_describe_themselves():
