@@ -184,10 +184,16 @@ SIZE = ErrorSize(np.array([0.05]), np.array([200.0]), np.ones(1), np.zeros((1, 1
 
 
 @pytest.mark.parametrize(
-    ("size", "least"), [(None, POLICY.min_gain_over_adequate), (SIZE, POLICY.min_gain)], ids=["exact", "with an error"]
+    ("size", "least"),
+    [
+        (None, POLICY.min_gain_over_adequate),
+        (replace(SIZE, sizes=np.zeros(1)), POLICY.min_gain_over_adequate),
+        (SIZE, POLICY.min_gain),
+    ],
+    ids=["exact", "an error of the flight alone", "an error of the heating"],
 )
 def test_an_exact_model_that_explains_the_record_is_left_for_a_larger_gain(size, least) -> None:
-    """Errors of form give a cause some gain, which an error of the model takes up."""
+    """Errors of form give a cause some gain, which an error of the heating takes up."""
     search = searched()
     adequate, not_so = (replace(h, trials=(replace(h.last, size=size),)) for h in (search.conclusion.best, search.none))
     assert adequate.adequate

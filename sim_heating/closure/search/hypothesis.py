@@ -478,9 +478,12 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
 def _least_gain(none: Hypothesis) -> float:
     """By how much a cause has to be better than the declared model to be named [BIC].
 
-    Errors of form give some gain over an exact model that explains the record. A model with an error takes them up.
+    Errors of form give some gain over a model with exact heating that explains the record. An error of the heating takes
+    them up.
     """
-    return POLICY.min_gain_over_adequate if none.adequate and none.last.size is None else POLICY.min_gain
+    size = none.last.size
+    is_exact = size is None or size.mean == 0.0
+    return POLICY.min_gain_over_adequate if none.adequate and is_exact else POLICY.min_gain
 
 
 def _is_twin(h: Hypothesis, best: Hypothesis) -> bool:
