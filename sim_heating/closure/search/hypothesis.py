@@ -478,8 +478,8 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
 def _least_gain(none: Hypothesis) -> float:
     """By how much a cause has to be better than the declared model to be named [BIC].
 
-    Errors of form give some gain over a model with exact heating that explains the record. An error of the heating takes
-    them up.
+    Errors of form give some gain over a model with exact heating that explains the record. An error of the heating
+    takes them up.
     """
     size = none.last.size
     is_exact = size is None or size.mean == 0.0
