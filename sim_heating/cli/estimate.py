@@ -460,23 +460,24 @@ def design(
 ) -> None:
     """Design a scenario's manoeuvres: the bounds they would give, the most informative ones, other instruments."""
     from sim_heating.base.files import require_writable
-    from sim_heating.estimation.design.report import FILES, bounds_table, changes, notes, summary, write_design
-    from sim_heating.estimation.design.report import design as design_manoeuvres
+    from sim_heating.estimation.design import report
     from sim_heating.inputs.scenario import load_scenario, with_design
 
     stated = {"parameters": parameters and list(parameters), "criterion": criterion, "evaluations": evaluations}
     loaded = with_design(load_scenario(scenario, root=root), {k: v for k, v in stated.items() if v is not None})
-    require_writable(out, "design", expected=FILES, inputs=loaded.files)
+    require_writable(out, "design", expected=report.FILES, inputs=loaded.files)
     with progress_line("design") as progress:
-        designed = design_manoeuvres(loaded, repetitions=repetitions, progress=progress)
+        designed = report.design(loaded, repetitions=repetitions, progress=progress)
         progress(0.99, "writing")
-        names = write_design(designed, out)
-    contents = summary(designed)
-    print_table(bounds_table(designed, [n for n in designed.planner.design.flights if n > 1]))
+        names = report.write_design(designed, out)
+    contents = report.summary(designed)
+    print_table(report.bounds_table(designed, [n for n in designed.planner.design.flights if n > 1]))
     CONSOLE.print(f"{contents['tried']} designs tried, {contents['kept_limits']} keep the limits")
-    for line in changes(contents):
+    for line in report.changes(contents):
         CONSOLE.print(line)
     _print_checks(contents)
+    if designed.planner.compared:
+        print_table(report.instruments_table(designed))
     if contents["locations"]:
         CONSOLE.print(f"locations, bounds over the ratio: {_ranking(contents)}")
     for face in contents["interfaces"]:
@@ -484,7 +485,7 @@ def design(
             f"interface of {face['control_point']} behind {face['upstream']}: heating {face['largest_excess']:+.1%} at "
             f"most, at {face['largest_at_s']:.0f} s; in the manoeuvres up to {face['largest_in_manoeuvres']:.1%}"
         )
-    for line in notes(designed):
+    for line in report.notes(designed):
         CONSOLE.print(line)
     print_outputs(out, names, "design.json")
 

@@ -130,7 +130,7 @@ def run(
 
 def _print_with_margins(table: Table) -> None:
     """Print a table with negative margins in red."""
-    margins = [column.head == "margin" for column in table.layout]
+    margins = ["margin" in column.head for column in table.layout]
     print_table(table, lambda i, k: "red" if margins[k] and (table.rows[i][k] or 0.0) < 0.0 else "")
 
 

@@ -267,7 +267,7 @@ def _export_aero(vehicle: str, out: Path, root: Path | None) -> None:
 def _write_jsbsim_system(vehicle: str, point_name: str, out: Path, root: Path | None) -> None:
     """Write the system of JSBSim of a control point.
 
-    raises : InputError where its ratio or its reference has no counterpart in JSBSim
+    raises : InputError where its reference heating has no counterpart in JSBSim
     """
     from sim_heating.base.files import write_text_atomic
     from sim_heating.inputs.points import wall_enthalpy_of
@@ -287,7 +287,7 @@ def _write_jsbsim_system(vehicle: str, point_name: str, out: Path, root: Path | 
         reference_length_m=loaded.reference_length_m,
         emissivity=emissivity,
         wall_enthalpy=wall_enthalpy_of(loaded.heating.wall_enthalpy),
-        recovery=point.recovery.kind,
+        recovery=point.recovery,
         where=f"{vehicle}/{point_name}",
     )
     write_text_atomic(out, text)

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.base.files import read_json
-from sim_heating.credibility.validation.region import Band, ValidationCase
+from sim_heating.credibility.validation.region import DIGITS, Band, ValidationCase
 
-HALF_DIGIT = 5e-4
-"""Greatest rounding error of four digits, as part of the value [-]."""
+HALF_DIGIT = 0.5 * 10.0 ** (1 - DIGITS)
+"""Greatest rounding error of DIGITS digits, as part of the value [-]."""
 EVIDENCE = Path(__file__).with_name("evidence.json")
 
 
@@ -114,8 +114,8 @@ def case_from_json(data: Mapping[str, Any], *, of_user: bool = False) -> Validat
 
 def _outward(low: float, high: float) -> list[float]:
     """An interval with its ends rounded away from it."""
-    return [float(f"{low - abs(low) * HALF_DIGIT:.4g}"), float(f"{high + abs(high) * HALF_DIGIT:.4g}")]
+    return [float(f"{low - abs(low) * HALF_DIGIT:.{DIGITS}g}"), float(f"{high + abs(high) * HALF_DIGIT:.{DIGITS}g}")]
 
 
 def _rounded(value: float) -> float:
-    return float(f"{value:.4g}")
+    return float(f"{value:.{DIGITS}g}")

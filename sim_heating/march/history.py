@@ -22,6 +22,8 @@ from sim_heating.march.surface_heat import SurfaceHeat, surface_heat
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh, halve_elements
 
+HOT_STRUCTURE = 0.95
+"""Ratio of bondline to surface peak from which a point is hot structure, which has no bondline."""
 BAND_PROBABILITY = 0.95
 """Probability that a temperature lies within its band [-]."""
 
@@ -288,6 +290,11 @@ def _summary_of_band(history: PointHistory, *limits: float | None) -> dict[str, 
     return {"band": {**found, "sources_K": dict(history.band.sources)}}
 
 
+def is_hot_structure(peak_surface_K: float, peak_bondline_K: float) -> bool:
+    """Whether what lies under the outer layers gets nearly as hot as the surface [K]."""
+    return peak_bondline_K >= HOT_STRUCTURE * peak_surface_K
+
+
 def range_lines(points: Mapping[str, Mapping[str, Any]], shown: int | None = None) -> list[str]:
     """Heating ratios [-] below 0, and variables that lay outside ratio tables: a line each, with all points of it.
 
@@ -304,9 +311,10 @@ def range_lines(points: Mapping[str, Mapping[str, Any]], shown: int | None = Non
             outside.setdefault(o["variable"], {})[name] = o
     for variable, by_name in outside.items():
         longest_s, farthest = (max(o[key] for o in by_name.values()) for key in ("duration_s", "farthest"))
+        unit = " deg" if variable.endswith("_deg") else ""
         lines.append(
             f"{variable} lay outside the ratio tables of {first_of(list(by_name), shown)}, up to {longest_s:.0f} s and "
-            f"{farthest:.3g} beyond; the edge value was held (details in summary.json)"
+            f"{farthest:.3g}{unit} beyond; the edge value was held (details in summary.json)"
         )
     return lines
 

@@ -28,8 +28,9 @@ from scipy.special import ndtr, ndtri
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
-from sim_heating.base.errors import InputError
-from sim_heating.base.files import check, display_path, read_toml
+from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.files import check, display_path, read_toml, suggestion
+from sim_heating.base.files.text import first_of
 from sim_heating.base.parameters import AT, EFFECT_PREFIX, MODEL
 from sim_heating.closure.prior.model_error import MEASURED_FLIGHT, other_flight, stated_error
 from sim_heating.closure.revise.evidence import fitted_use
@@ -60,6 +61,8 @@ LEAST_WEIGHT = 1e-3
 """Weight of a size of the heating's error below which it is left out [-]."""
 EFFECT_STEP = float(ndtri(0.5 + 0.5 * BAND_PROBABILITY))
 """Standard deviations by which parameters of effects are off [-]: those at which a band ends."""
+SHOWN = 6
+"""Control points that a message names."""
 MODEL_PREFIXES = ("ratio.", "stack.", "back.", EFFECT_PREFIX)
 """Beginnings of the parameters of an estimate that another flight of its point has; clocks and sensors are of one."""
 
@@ -69,11 +72,13 @@ class Member:
     """An estimate as one possible truth, with its weight, and what it leaves open for another flight.
 
     considered : None where nothing but its own covariance is known
+    source     : the file of its estimate, for messages
     """
 
     estimate: Estimate | None
     weight: float = 1.0
     considered: Considered | None = None
+    source: str = "estimate"
 
 
 def read_member(
@@ -84,9 +89,10 @@ def read_member(
     raises : InputError where it cannot be read, or the records that were fitted are not there or were changed
     """
     if Path(path).suffix == ".toml":
-        return Member(priors_as_estimate(path), weight)
+        return Member(priors_as_estimate(path), weight, source=display_path(path))
     estimate = read_estimate(path)
-    return Member(estimate, weight, considered(estimate, fitted_records(estimate, path, root)))
+    known = considered(estimate, fitted_records(estimate, path, root))
+    return Member(estimate, weight, known, display_path(path))
 
 
 def priors_as_estimate(path: str | os.PathLike[str]) -> Estimate:
@@ -160,6 +166,17 @@ def estimated_model(model: PointModel, estimate: Estimate, values: dict[str, flo
         effects=combined_uses(model.effects, effects),
         reference=reference,
     )
+
+
+def model_of_member(model: PointModel, member: Member) -> PointModel:
+    """A point as it is by a member: as declared, or with the parameters and effects of the member's estimate.
+
+    raises : InputError with the member's file, as `estimated_model`
+    """
+    if member.estimate is None:
+        return model
+    with error_context(member.source):
+        return estimated_model(model, member.estimate)
 
 
 def open_parameters(model: PointModel, member: Member) -> dict[str, tuple[str, float]]:
@@ -288,7 +305,7 @@ def spreads(
     with_table : whether the sigma of the ratio table counts
     raises  : RunError where a step did not converge
     """
-    central = model if member.estimate is None else estimated_model(model, member.estimate)
+    central = model_of_member(model, member)
     errors = [*_errors_of_point(model, flown, member, with_table), *(("trajectory", central, f) for f in flights)]
     labels, variants = [label for label, *_ in errors], [(changed, along) for _, changed, along in errors]
     first, sizes, knots = len(variants), heating_sizes(heating, member), np.zeros(0)
@@ -385,10 +402,10 @@ def predict_with_band(
     model, flow : in place of the record's own, before the estimates
     raises : as `predict`; InputError where an estimate is of another point
     """
-    heaviest = max(members, key=lambda m: m.weight).estimate
+    heaviest = max(members, key=lambda m: m.weight)
     declared, errors = point_of_record(record) if model is None else model, dict[str, SensorErrors]()
     declared = declared.with_lags(lags_s(record.sensors, errors))
-    central = declared if heaviest is None else estimated_model(declared, heaviest)
+    central = model_of_member(declared, heaviest)
     found = predict(record, central, flow=flow or flow_of_record(record, central.effects))
     flown, t = found.conditions, record.time_s
     inside = t[(t >= flown.time_s[0]) & (t <= flown.time_s[-1])]
@@ -409,11 +426,23 @@ def members_of_point(members: Sequence[Member], name: str) -> list[Member]:
     return [m if m.estimate is None or is_of_point(m.estimate) else Member(None, m.weight) for m in members]
 
 
+def _require_points(members: Sequence[Member], names: Sequence[str]) -> None:
+    """raises : InputError for an estimate that is of none of some control points"""
+    for m in members:
+        at_points = [of_point for name in names for of_point in members_of_point([m], name)]
+        if m.estimate is not None and all(of_point.estimate is None for of_point in at_points):
+            owners = {m.estimate.control_point or label.partition(AT)[2] for label in m.estimate.parameters}
+            hint = suggestion(min(owners), names, otherwise=f"; points of the run: {first_of(names, SHOWN)}")
+            raise InputError(f"{m.source}: is of no control point of the run, but of `{min(owners)}`{hint}")
+
+
 def with_bands(result: RunResult, members: Sequence[Member] = DECLARED) -> RunResult:
     """A run with the 95 % bands of all its control points; its flight counts as exact.
 
     An estimate acts at its control point alone; the temperatures of the run stay those of the declared model.
+    raises : InputError for a member that is of none of the control points
     """
+    _require_points(members, list(result.points))
     step_s = result.scenario.declared.heating.longest_step_s
     points = {}
     for name, point in result.points.items():

@@ -19,7 +19,7 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import provenance_attributes, write_csv
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.table import Column, Table
-from sim_heating.march.history import PointHistory
+from sim_heating.march.history import BAND_PROBABILITY, PointHistory, is_hot_structure
 from sim_heating.thermal.stack import Sensor
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def _margins(history: PointHistory, limits: Mapping[str, float | None]) -> dict[
 
 
 def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float]) -> Table:
-    """Peak temperatures of a run and their margins to the limits, a row a control point.
+    """Peak temperatures of a run and their margins to the limits, a row a control point; hot structure has no bondline.
 
     summary : as `run.summary` gives it
     rmse_K  : RMSE against measured histories [K] by control point; without any there is no such column
@@ -126,6 +126,9 @@ def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float
         Column("margin", "bondline_margin_K", "+.0f", "K"),
     ]
     points = {name: {**point, **point.get("band", {})} for name, point in summary["control_points"].items()}
+    for point in points.values():
+        if point["bondline_margin_K"] is None and is_hot_structure(point["peak_surface_K"], point["peak_bondline_K"]):
+            point["peak_bondline_K"] = None
     if any("band" in point for point in points.values()):
         ends = ("surface", "bondline")
         columns += [Column(f"{name} margin at the band", f"{name}_margin_at_band_K", "+.0f", "K") for name in ends]
@@ -144,34 +147,52 @@ def rmse_table(title: str, rmse_K: Mapping[str, float]) -> Table:
 
 
 def limits_in_words(summary: Mapping[str, Any]) -> str:
-    """Which points of a run pass their temperature limits, and by how much, in one line.
+    """Which points of a run exceed their temperature limits, and by how much; with bands, those that do there too.
 
     summary : as `run.summary` gives it
 
     >>> from sim_heating.simulation.results import limits_in_words
     >>> points = {"NOSE": {"surface_margin_K": -12.0, "bondline_margin_K": 80.0}, "FIN": {"surface_margin_K": 9.0}}
     >>> limits_in_words({"control_points": points})
-    '1 of 2 points with limits passes them: NOSE (surface by 12 K)'
+    '1 of 2 points with limits exceeds them: NOSE (surface by 12 K)'
+    >>> points["FIN"]["band"] = {"surface_margin_at_band_K": -3.0}
+    >>> limits_in_words({"control_points": points})
+    '1 of 2 points with limits exceeds them: NOSE (surface by 12 K). At the upper end of the 95 % band 1 more: FIN \
+(surface by 3 K)'
     """
-    margins = {name: _margins_of_summary(point) for name, point in summary["control_points"].items()}
+    points = summary["control_points"]
+    margins = {name: _margins_of_summary(point, "margin_K") for name, point in points.items()}
     count = sum(bool(of_point) for of_point in margins.values())
-    passed = [f"{name} ({excess})" for name, of_point in margins.items() if (excess := _excess_in_words(of_point))]
     if not count:
         return "No point has a temperature limit"
-    if not passed:
-        return f"All {count} points with limits keep them" if count > 1 else "The point keeps its limits"
-    verb = "passes" if len(passed) == 1 else "pass"
-    return f"{len(passed)} of {count} points with limits {verb} them: {', '.join(passed)}"
+    exceeding = _excesses(margins)
+    if exceeding:
+        verb = "exceeds" if len(exceeding) == 1 else "exceed"
+        line = f"{len(exceeding)} of {count} points with limits {verb} them: {', '.join(exceeding.values())}"
+    else:
+        line = f"All {count} points with limits keep them" if count > 1 else "The point keeps its limits"
+    at_band = {n: _margins_of_summary(p.get("band", {}), "margin_at_band_K") for n, p in points.items()}
+    others = [text for name, text in _excesses(at_band).items() if name not in exceeding]
+    if not others:
+        return line
+    more = f"{len(others)} more" if exceeding else f"{len(others)} exceed{'s' if len(others) == 1 else ''} them"
+    return f"{line}. At the upper end of the {100.0 * BAND_PROBABILITY:.0f} % band {more}: {', '.join(others)}"
 
 
-def _margins_of_summary(point: Mapping[str, Any]) -> dict[str, float]:
-    """Margins of surface and bondline to their limits [K], those that a point has."""
-    margins = {face: point.get(f"{face}_margin_K") for face in ("surface", "bondline")}
+def _margins_of_summary(point: Mapping[str, Any], kind: str) -> dict[str, float]:
+    """Margins of surface and bondline to their limits [K], those that a point has; kind : end of their keys."""
+    margins = {face: point.get(f"{face}_{kind}") for face in ("surface", "bondline")}
     return {face: margin for face, margin in margins.items() if margin is not None}
 
 
+def _excesses(margins: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
+    """`NOSE (surface by 12 K)` of each point that exceeds a limit, by its name."""
+    texts = {name: _excess_in_words(of_point) for name, of_point in margins.items()}
+    return {name: f"{name} ({text})" for name, text in texts.items() if text}
+
+
 def _excess_in_words(margins: Mapping[str, float]) -> str:
-    """`surface by 12 K`: by how much a point passes its limits; empty where it keeps them."""
+    """`surface by 12 K`: by how much a point exceeds its limits; empty where it keeps them."""
     return ", ".join(f"{face} by {-margin:.0f} K" for face, margin in margins.items() if margin < 0.0)
 
 
@@ -192,7 +213,7 @@ def prediction_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
         for s in summaries
     ]
     if any("band" in s for s in summaries):
-        columns.append(Column("readings within the 95 % band", "within", ".3f"))
+        columns.append(Column("readings within the 95 % band", "within", ".0%"))
         rows = [[*row, s.get("band", {}).get("within")] for row, s in zip(rows, summaries, strict=True)]
     return Table("Declared model against measurement", columns, rows)
 

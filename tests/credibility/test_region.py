@@ -42,6 +42,21 @@ def test_an_angle_of_attack_that_was_never_flown_at_that_speed_is_an_extrapolati
     assert (above, share) == (0.0, 1.0)
 
 
+def test_a_mach_number_outside_by_less_than_the_last_digit_of_the_region_is_within_it():
+    """Above Mach 10 the ends of a range are stated to 0.01: 0.004 beyond is no extrapolation, 0.02 is."""
+    cases = shipped_evidence().cases[:1]
+    fastest = max((b for b in cases[0].bands), key=lambda b: b.limits["mach"][1])
+    middle = {n: 0.5 * sum(ends) for n, ends in fastest.limits.items()}
+    mach = fastest.limits["mach"][1]
+    within, beyond = (
+        extrapolation([flight(mach + d, middle["alpha_deg"], middle["log10_re"], middle["wall_K"])], cases)
+        for d in (0.004, 0.02)
+    )
+    assert (within.inside, within.outside) == (1.0, {})
+    assert beyond.outside["mach"][1] == pytest.approx(0.02)
+    assert "Mach 0.02 above" in beyond.words
+
+
 def test_neighbouring_ranges_of_mach_numbers_leave_no_gap():
     bands = shipped_evidence().cases[0].bands
     ends = sorted(b.limits["mach"] for b in bands)

@@ -215,6 +215,21 @@ def test_stated_instruments_take_the_place_of_those_of_the_program(planned: Plan
     assert np.all(variants["all alike"].sigma <= variants["as declared"].sigma)
 
 
+def test_the_terminal_compares_stated_instruments_a_row_each(tmp_path, capsys) -> None:
+    """Longer words tell more of the elevon's derivative; the row has the bound of design.json."""
+    text = (SCENARIOS / "design_first_look.toml").read_text(encoding="utf-8")
+    lists = '\n[[design.instruments]]\nname = "12 bits"\nbits = 12\n'
+    (tmp_path / "flap.toml").write_text(text + lists, encoding="utf-8")
+    arguments = ["design", str(tmp_path / "flap.toml"), "--evaluations", "1", "--out", str(tmp_path / "out")]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    sets = json.loads((tmp_path / "out" / "design.json").read_text())["instruments"]
+    bounds = {of_set["what"]: of_set["sigma"]["ratio.d_elevon"] for of_set in sets}
+    assert bounds["12 bits"] < bounds["as declared"]
+    for kind, name in (("declared", "as declared"), ("stated", "12 bits")):
+        assert re.search(rf"{kind}[ │]+{name}[ │]+{bounds[name]:.3g} ", printed)
+
+
 def test_a_stated_instrument_outside_the_wall_is_refused_by_its_set() -> None:
     deep = {"name": "TC9", "column": "tc9_K", "depth_m": 0.5, "noise_sigma_K": 1.0}
     with pytest.raises(InputError, match=r"\[\[design.instruments\]\] deep: `sensor\[0\].depth_m`: 0.5 m is outside"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -176,7 +177,6 @@ def test_a_user_takes_a_shipped_table_to_dave_ml_and_back(tmp_path, monkeypatch,
         (["flap.mat"], "flap.mat: `.mat` is no format of ratio tables; there are .csv"),
         (["glider.dml"], "glider.dml: no output named `heatingRatio` or `ratio` (outputs: lift)"),
         (["broken.nc"], "broken.nc: is no netCDF file that can be read"),
-        (["orbiter/LOWER_MID", "--out", "a.xml"], "its recovery enthalpy is `edge-laminar`; a system of JSBSim has"),
         ([str(SHIPPED), "--out", "a.xml"], "a system of JSBSim needs the wall of a point; give VEHICLE/POINT"),
     ],
 )
@@ -274,6 +274,22 @@ def test_a_head_without_a_unit_that_fits_is_refused(tmp_path, head, message):
     (tmp_path / "cfd.csv").write_text(f"{head}\n1,0,0,20\n")
     with pytest.raises(InputError, match=rf"cfd\.csv.*{message}"):
         tables_of_body_points(tmp_path / "cfd.csv", {"A": (1.0, 0.0, 0.0)}, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("cells", "message"),
+    [
+        ("-1,150,900,3", "column `Mach` (read as mach): -1 is not above 0"),
+        ("12,150,hot,3", 'column `T_wall [degF]` (read as wall_K): "hot" is not a number'),
+    ],
+)
+def test_a_row_that_cannot_be_used_is_named_by_the_users_head(tmp_path, cells, message):
+    head = "X [in],Y [in],Z [in],Alpha (deg),Mach,Altitude [kft],T_wall [degF],q (W/cm^2)"
+    (tmp_path / "cfd.csv").write_text(f"{head}\n1,0,0,20,{cells}\n")
+    with pytest.raises(InputError, match=rf"cfd\.csv, row 2, {re.escape(message)}"):
+        tables_of_body_points(
+            tmp_path / "cfd.csv", {"A": (0.0, 0.0, 0.0)}, 10.0, reference="sutton-graves", nose_radius_m=2.0
+        )
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from sim_heating.estimation.report.estimate_file import read_estimate, write_est
 from sim_heating.estimation.report.report import estimate_contents
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import load_record
+from sim_heating.inputs.scenario import load_scenario
 from sim_heating.march.history import march_points
 from sim_heating.planning.bands import (
     Member,
@@ -31,8 +32,10 @@ from sim_heating.planning.bands import (
     predict_with_band,
     read_member,
     spreads,
+    with_bands,
 )
 from sim_heating.planning.considered import considered
+from sim_heating.simulation.run import run
 from tests.support.paths import ROOT, SCENARIOS
 
 P06 = SCENARIOS / "records" / "practice" / "p06"
@@ -189,6 +192,30 @@ def test_the_next_flight_is_predicted_with_what_a_campaign_knows_of_its_wall(tmp
     slope = 0.9**-1.25  # of the temperature over the emittance, over that at 1
     assert narrower["estimate"] == pytest.approx(wider[EMITTANCE] * slope * 0.01 / MODEL[EMITTANCE].sigma, rel=0.05)
     assert members_of_point([aged], "V09T9527") == [Member(None)]
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        (
+            "stack.emissivity_facto",
+            "unknown parameter `stack.emissivity_facto`; did you mean `stack.emissivity_factor`",
+        ),
+        (f"{EMITTANCE}@BODYFLAP", "the estimate has no parameter of this control point"),
+    ],
+)
+def test_a_parameter_that_the_point_of_a_record_lacks_is_named_with_the_members_file(tmp_path, key, message):
+    (tmp_path / "aged.toml").write_text(f'[prior]\n"{key}" = [0.9, 0.01]\n')
+    with pytest.raises(InputError, match=rf"aged\.toml: LS: {re.escape(message)}"):
+        predict_with_band(load_record(P06), [read_member(tmp_path / "aged.toml")])
+
+
+def test_a_member_of_no_control_point_of_a_run_is_refused(tmp_path):
+    """Its name is misspelt, and the bands would be those of the declared model."""
+    (tmp_path / "aged.toml").write_text(f'[prior]\n"{EMITTANCE}@NOZE" = [0.9, 0.01]\n')
+    flown = run(load_scenario(SCENARIOS / "capsule.toml"))
+    with pytest.raises(InputError, match=r"aged\.toml: is of no control point of the run, but of `NOZE`"):
+        with_bands(flown, [read_member(tmp_path / "aged.toml")])
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.simulation.report.charts import shades
 from sim_heating.simulation.report.plots import draw_heating, draw_temperatures
+from sim_heating.simulation.results import run_table
 from sim_heating.simulation.run import PointResult, RunResult, run, with_reference_heating, write_run
 from tests.support.browser import assert_fits, needs_browser
 from tests.support.gliding import gliding
@@ -188,6 +189,15 @@ def test_the_page_of_a_run_has_the_histories_of_all_points_and_their_peaks(out: 
         shown = curve["step"] * np.cumsum(curve["y"])
         assert shown.max() == pytest.approx(point.history.surface_K.max(), abs=curve["step"])
         assert f"{point.history.surface_K.max():.0f} K" in page
+
+
+def test_a_table_of_peaks_has_no_bondline_of_a_wall_that_is_as_hot_inside() -> None:
+    """The nose cap is one layer of carbon; under a tile the bond stays cold."""
+    cap = {"peak_surface_K": 1670.0, "peak_bondline_K": 1670.0, "bondline_margin_K": None}
+    tile = {"peak_surface_K": 1119.0, "peak_bondline_K": 323.0, "bondline_margin_K": 127.0}
+    table = run_table("", {"control_points": {"NOSECAP": cap, "V09T9527": tile}}, {})
+    column = [c.key for c in table.layout].index("peak_bondline_K")
+    assert [row[column] for row in table.rows] == [None, 323.0]
 
 
 def test_the_page_of_a_run_tells_a_variable_outside_ratio_tables_once(out: Path) -> None:

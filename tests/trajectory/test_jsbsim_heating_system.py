@@ -11,10 +11,11 @@ from scipy.optimize import brentq
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
-from sim_heating.heating.atmosphere import free_stream
+from sim_heating.heating.atmosphere import CP_AIR, free_stream
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
 from sim_heating.heating.reference.models import reference_heating
+from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.thermal.faces import SIGMA
 from sim_heating.trajectory.jsbsim.heating_system import WALL_PRESSURE_PA, jsbsim_system_text, nd_table
@@ -57,6 +58,8 @@ def fly(folder, system: str, altitude_m: float, velocity_m_s: float, alpha_deg: 
         ("capsule", "FACE", 60e3, 6000.0, 20.0),
         ("orbiter", "NOSECAP", 70e3, 6500.0, 40.0),
         ("orbiter", "POD_LRSI", 45e3, 3000.0, 20.0),
+        ("orbiter", "WING_LE", 65e3, 6000.0, 40.0),
+        ("orbiter", "BODYFLAP", 55e3, 4500.0, 35.0),
     ],
 )
 def test_jsbsim_gives_the_equilibrium_temperature_of_a_point(
@@ -75,7 +78,10 @@ def test_jsbsim_gives_the_equilibrium_temperature_of_a_point(
     columns = {"time_s": [0.0], "velocity_m_s": [V], "rho_kg_m3": [rho], **{n: [a] for n, a in angles.items()}, **air}
     conditions = Conditions({n: np.asarray(c, dtype=float) for n, c in columns.items()})
     h_ref, H_r, _ = reference_heating(
-        loaded.heating.reference, conditions, nose_radius_m=loaded.heating.nose_radius_m or 1.0
+        loaded.heating.reference,
+        conditions,
+        nose_radius_m=loaded.heating.nose_radius_m or 1.0,
+        recovery=point.recovery,
     )
     x = np.array([[alpha, beta, air["log10_re"][0], 2.0, 5.0]])
     ratio = float(np.ravel(table_ratios_at(point.ratio, x if x.shape[0] == 1 else x.T))[0])
@@ -91,8 +97,48 @@ def test_jsbsim_gives_the_equilibrium_temperature_of_a_point(
 
     expected = float(brentq(absorbed, 50.0, 4000.0))
     assert flown[f"heating/{name}/ratio"] == pytest.approx(ratio, rel=1e-4)
+    assert flown[f"heating/{name}/recovery-J_kg"] == pytest.approx(float(H_r[0]), rel=1e-3)
     assert flown[f"heating/{name}/equilibrium-K"] == pytest.approx(expected, abs=1.0)
     assert expected > 400.0
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize(
+    "recovery",
+    [
+        Recovery("edge-laminar", local_angle_deg=5.0),
+        Recovery("edge-turbulent", local_angle_deg=-3.0, elevon_factor=1.0, bodyflap_factor=0.5),
+        Recovery("attachment-line", sweep_deg=45.0),
+    ],
+    ids=lambda recovery: recovery.kind,
+)
+def test_jsbsim_gives_the_recovery_enthalpy_of_an_edge(tmp_path, recovery):
+    """H_0 less (1 - r) u_e^2/2 at 30 deg, elevon at 6 deg and body flap at 10 deg."""
+    table = load_vehicle("orbiter").control_point("WING_LE").ratio
+    system = jsbsim_system_text(
+        "P",
+        table,
+        reference="fay-riddell",
+        nose_radius_m=0.3048,
+        reference_length_m=32.8,
+        emissivity=[[300.0, 0.85]],
+        wall_enthalpy="equilibrium-air",
+        recovery=recovery,
+    )
+    flown = fly(tmp_path, system, 60e3, 5000.0, 30.0, [("heating/elevon-deg", 6.0), ("heating/bodyflap-deg", 10.0)])
+    V, alpha = flown["velocities/vt-fps"] * 0.3048, flown["aero/alpha-deg"]
+    total = 0.5 * V**2 + CP_AIR * flown["heating/P/air-K"]
+    edge = (
+        V
+        * {
+            "edge-laminar": np.cos(np.radians(alpha + 5.0)),
+            "edge-turbulent": np.cos(np.radians(alpha - 3.0 + 6.0 + 5.0)),
+            "attachment-line": np.sin(np.radians(45.0)) * np.cos(np.radians(alpha)),
+        }[recovery.kind]
+    )
+    r = 0.71 ** (1 / 3 if recovery.kind == "edge-turbulent" else 1 / 2)
+    assert flown["heating/P/recovery-J_kg"] == pytest.approx(total - (1.0 - r) * edge**2 / 2.0, rel=1e-5)
+    assert flown["heating/P/recovery-J_kg"] < 0.97 * total
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,7 @@ class CsvTable:
     path    : the file, for messages
     lines   : (row,) line number of each row in the file
     text    : name -> cells of the columns requested as text
+    heads   : name -> head of its column in the file, where that is another
     """
 
     columns: dict[str, FloatArray]
@@ -54,6 +55,7 @@ class CsvTable:
     path: Path
     lines: NDArray[np.int64]
     text: dict[str, list[str]] = field(default_factory=dict)
+    heads: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> FloatArray:
         return self.columns[name]
@@ -63,8 +65,10 @@ class CsvTable:
 
     def problem(self, index: int, column: str, rule: str) -> str:
         """`file, row 14, column x: value rule`."""
-        cell = f"{display_path(self.path)}, row {self.lines[index]}, column {column}"
-        return f"{cell}: {self.columns[column][index]:g} {rule}"
+        return f"{self._cell(index, column)}: {self.columns[column][index]:g} {rule}"
+
+    def _cell(self, index: int, column: str) -> str:
+        return f"{display_path(self.path)}, row {self.lines[index]}, column {_in_file(column, self.heads)}"
 
     def problems_where_not(self, column: str, holds: ArrayLike, rule: str) -> list[str]:
         """One problem line for a column where a condition does not hold in every row, naming the first such row."""
@@ -80,8 +84,7 @@ class CsvTable:
         if bad.size == 0:
             return []
         before = f"does not come after {values[bad[0] - 1]:.10g}; sort the rows by {column} and remove repeated ones"
-        value = f"{values[bad[0]]:.10g}"
-        return [f"{display_path(self.path)}, row {self.lines[bad[0]]}, column {column}: {value} {before}"]
+        return [f"{self._cell(int(bad[0]), column)}: {values[bad[0]]:.10g} {before}"]
 
     def with_columns(self, columns: Mapping[str, FloatArray]) -> CsvTable:
         """Copy of the table with columns added, each (row,) in the unit that its name ends in."""
@@ -90,6 +93,11 @@ class CsvTable:
     def celsius_problems(self, column: str) -> list[str]:
         """Problems of a temperature column [K]: values below 100 K are taken for Celsius. NaN is accepted."""
         return self.problems_where_not(column, ~(self.columns[column] < COLDEST_K), celsius_rule())
+
+
+def _in_file(column: str, heads: Mapping[str, str]) -> str:
+    """A column as a message names it: by its head in the file, with the column that it is read as."""
+    return f"`{heads[column]}` (read as {column})" if column in heads else column
 
 
 def runs_back(time_s: FloatArray) -> bool:
@@ -134,16 +142,19 @@ def csv_columns(
     allow_empty: Iterable[str] = (),
     keep_other: bool = True,
     text: Sequence[str] = (),
+    heads: Mapping[str, str] | None = None,
 ) -> CsvTable:
     """The table that the text of a CSV file holds; the path is that of the messages.
 
-    Parameters, result and errors as in `read_csv_columns`.
+    heads : column -> its head in the file, for messages, where the content has other names than the file
+
+    Other parameters, result and errors as in `read_csv_columns`.
     """
-    lost = set(allow_empty)
+    lost, heads = set(allow_empty), heads or {}
     if len(content) > LARGE_TEXT and not text:
         large = _large_table(path, content, required, optional, lost, keep_other)
         if large is not None:
-            return large
+            return replace(large, heads=heads)
     names, rows, lines, header = _cells(path, content)
     file = display_path(path)
     raise_problems(_name_problems(file, names, required, optional, lost))
@@ -155,10 +166,10 @@ def csv_columns(
     problems: list[str] = []
     for name in (n for n in selected if n not in text):
         columns[name], bad = _numbers(cells[name], name in lost)
-        problems += [f"{file}, row {lines[i]}, column {name}: {problem}" for i, problem in bad]
+        problems += [f"{file}, row {lines[i]}, column {_in_file(name, heads)}: {problem}" for i, problem in bad]
     raise_problems(problems)
     texts = {n: [c.strip() for c in cells[n]] for n in selected if n in text}
-    return CsvTable(columns, header, path, np.array(lines, dtype=np.int64), texts)
+    return CsvTable(columns, header, path, np.array(lines, dtype=np.int64), texts, heads)
 
 
 def _large_table(

@@ -107,7 +107,7 @@ def within_noise(record: Record, residual_K: FloatArray) -> Answer:
     if any(s.noise_sigma_K is None for s in record.used_sensors):
         return Answer(False, "the record declares no noise of a thermocouple")
     rmse, floor = _rmse(residual_K[used]), record.noise_floor_K(record.read_mask)
-    text = f"RMSE {rmse:.3g} K, noise floor {floor:.3g} K"
+    text = f"RMSE {rmse:.3g} K over all readings, noise floor {floor:.3g} K"
     return Answer(bool(rmse <= MODEL_ERROR_RATIO * floor), text)
 
 

@@ -4,10 +4,14 @@ A data set covers the conditions that it was measured at: in each range of Mach 
 attack, log10 of Reynolds number and wall temperature that it went through. A ground test without flow covers an
 interval of wall temperatures alone. Wall temperatures of a data set are the readings of its outermost thermocouple, as
 far as it reads; those of a result are the surface temperatures of the model.
+
+An interval is stated with DIGITS digits. A result that is outside of it by less than one unit of the last digit of its
+larger end is within it: the interval does not resolve that distance.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +27,8 @@ VARIABLES = {"mach": 1e-3, "alpha_deg": 10.0, "log10_re": 0.5, "wall_K": 100.0}
 """Variables of the region, each with the distance [-, deg, -, K] that counts as much as those of the others where the
 nearest range is chosen: by Mach number first, so that walls are compared at like speeds."""
 UNITS = {"mach": "", "alpha_deg": " deg", "log10_re": "", "wall_K": " K"}
+DIGITS = 4
+"""Digits that the ends of an interval are stated with."""
 Distances = dict[tuple[int, float, float], FloatArray]
 """Distance of an array from an interval, by the identity of the array and the ends of the interval."""
 FLIGHT, GROUND = "flight", "ground test"
@@ -56,7 +62,7 @@ class Band:
     n: int
 
     def beyond(self, samples: Samples, computed: Distances) -> dict[str, FloatArray]:
-        """(time,) signed distance of each variable from the interval, 0 within, in its unit.
+        """(time,) signed distance of each variable from the interval, 0 within or below its resolution, in its unit.
 
         computed : distances that were computed before; points of one flight share their conditions
         """
@@ -65,9 +71,16 @@ class Band:
             x = samples.values[name]
             key = (id(x), low, high)
             if key not in computed:
-                computed[key] = x - np.clip(x, low, high)
+                distance = x - np.clip(x, low, high)
+                computed[key] = np.where(np.abs(distance) < _resolution(low, high), 0.0, distance)
             distances[name] = computed[key]
         return distances
+
+
+def _resolution(low: float, high: float) -> float:
+    """One unit of the last digit that the larger end of an interval is stated with, in the unit of the interval."""
+    largest = max(abs(low), abs(high))
+    return 10.0 ** (math.floor(math.log10(largest)) + 1 - DIGITS) if largest > 0.0 else 0.0
 
 
 @dataclass(frozen=True)

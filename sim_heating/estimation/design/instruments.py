@@ -47,7 +47,7 @@ def instrumentation(
         if planner.compared
         else (*_variants_without_march(declared), *_variants_with_march(planner, flown, names, priors))
     )
-    every = [("as declared", "as declared", declared), *others]
+    every = [("declared", "as declared", declared), *others]
     return [InstrumentVariant(kind, change, e.sigma(planner.targets)) for kind, change, e in every]
 
 

@@ -302,6 +302,26 @@ def design_page(designed: DesignResult, folder: Path) -> Page:
     """The report of a design as a page; its pictures are in a folder."""
     contents = summary(designed)
     bounds = replace(bounds_table(designed, designed.planner.design.flights), title="One standard deviation.")
+    instruments = replace(instruments_table(designed), title="One standard deviation.", sortable=True)
+    count = f"{contents['tried']} designs tried, {contents['kept_limits']} keep the limits."
+    pictures = {
+        DESIGN: "Manoeuvres and the outermost thermocouple, as planned and optimal.",
+        SWEEPS: "Bounds along each number over those of the optimal design; open marks exceed a limit.",
+        INSTRUMENTS: "Bounds with other instruments over those with the declared ones.",
+    }
+    shown = [SavedPicture(folder / name, caption) for name, caption in pictures.items()]
+    sections = [
+        Section("Bounds", [count], [*changes(contents), *notes(designed)], [bounds], shown[:2]),
+        Section("Instruments", tables=[instruments], pictures=shown[2:]),
+        *([Section("Locations", tables=[locations_table(designed)])] if designed.locations else []),
+        credibility_section(contents["credibility"]),
+    ]
+    subtitle = f"{designed.scenario.vehicle.name}, control point {designed.planner.point.name}: manoeuvre design"
+    return Page(designed.scenario.title, subtitle, sections)
+
+
+def instruments_table(designed: DesignResult) -> Table:
+    """Standard deviations of the wanted parameters by the optimal design, a row for each set of instruments."""
     columns = [
         Column("instruments"),
         Column("what", is_text=True),
@@ -312,22 +332,7 @@ def design_page(designed: DesignResult, folder: Path) -> Page:
         [v.kind, v.change, *(_bound(sigma, declared) for sigma, declared in zip(v.sigma, base, strict=True))]
         for v in designed.instruments
     ]
-    instruments = Table("One standard deviation.", columns, rows)
-    count = f"{contents['tried']} designs tried, {contents['kept_limits']} keep the limits."
-    pictures = {
-        DESIGN: "Manoeuvres and the outermost thermocouple, as planned and optimal.",
-        SWEEPS: "Bounds along each number over those of the optimal design; open marks exceed a limit.",
-        INSTRUMENTS: "Bounds with other instruments over those with the declared ones.",
-    }
-    shown = [SavedPicture(folder / name, caption) for name, caption in pictures.items()]
-    sections = [
-        Section("Bounds", [count], [*changes(contents), *notes(designed)], [bounds], shown[:2]),
-        Section("Instruments", tables=[replace(instruments, sortable=True)], pictures=shown[2:]),
-        *([Section("Locations", tables=[locations_table(designed)])] if designed.locations else []),
-        credibility_section(contents["credibility"]),
-    ]
-    subtitle = f"{designed.scenario.vehicle.name}, control point {designed.planner.point.name}: manoeuvre design"
-    return Page(designed.scenario.title, subtitle, sections)
+    return Table("Instruments: one standard deviation", columns, rows)
 
 
 def locations_table(designed: DesignResult) -> Table:

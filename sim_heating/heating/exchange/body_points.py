@@ -138,7 +138,8 @@ def _in_columns(path: Path) -> CsvTable:
     if at is not None:
         lines[at] = ",".join(name for name, _ in columns)
     optional = ("beta_deg", "wall_K", *(n for g in (*REYNOLDS, *HEATING) for n in g))
-    file = csv_columns(path, "\n".join(lines), (*POSITION, "alpha_deg"), optional)
+    renamed = {name: head.strip() for head, (name, _) in zip(heads, columns, strict=True) if name != head.strip()}
+    file = csv_columns(path, "\n".join(lines), (*POSITION, "alpha_deg"), optional, heads=renamed)
     return file.with_columns(
         {n: u.factor * file[n] + u.offset for n, u in columns if u is not None and n in file.columns}
     )

@@ -18,8 +18,8 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.march.point import PointModel
 from sim_heating.planning.bands import (
     Member,
-    estimated_model,
     members_of_point,
+    model_of_member,
     open_covariance,
     open_parameters,
     principal_steps,
@@ -46,10 +46,7 @@ class DrawnMember:
     @cached_property
     def models(self) -> list[PointModel]:
         """The control points with the values of the estimate."""
-        return [
-            model if m.estimate is None else estimated_model(model, m.estimate)
-            for model, m in zip(self.declared, self.of_points, strict=True)
-        ]
+        return [model_of_member(model, m) for model, m in zip(self.declared, self.of_points, strict=True)]
 
     @cached_property
     def labels(self) -> list[dict[str, str]]:

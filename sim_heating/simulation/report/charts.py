@@ -14,8 +14,8 @@ from sim_heating.base.report.chart import COLORS, Chart, Curve, Panel, Span, dis
 from sim_heating.base.report.figure import ANGLES, MANOEUVRE_NAMES
 from sim_heating.base.report.page import Picture, SavedPicture
 from sim_heating.inputs.record import Record, pooled_rmse_K
-from sim_heating.march.history import PointHistory
-from sim_heating.simulation.report.plots import HOT_STRUCTURE, LIMITS_SHOWN
+from sim_heating.march.history import PointHistory, is_hot_structure
+from sim_heating.simulation.report.plots import LIMITS_SHOWN
 from sim_heating.trajectory.flight import Window
 
 MARGIN = 0.2
@@ -142,11 +142,6 @@ def _shaded(windows: Sequence[Window]) -> str:
     return " Shaded: manoeuvres." if windows else ""
 
 
-def _is_hot_structure(point: PointHistory) -> bool:
-    """Whether the bondline gets nearly as hot as the surface."""
-    return bool(np.max(point.bondline_K) >= HOT_STRUCTURE * np.max(point.surface_K))
-
-
 def temperature_chart(
     points: Sequence[PointHistory],
     windows: Sequence[Window],
@@ -159,7 +154,8 @@ def temperature_chart(
     panels = []
     for key, label in (("surface_K", "surface temperature, K"), ("bondline_K", "bondline temperature, K")):
         styled = zip(ordered, styles, strict=True)
-        shown = [(p, s) for p, s in styled if key == "surface_K" or not _is_hot_structure(p)]
+        hot = {p.name for p in ordered if is_hot_structure(np.max(p.surface_K), np.max(p.bondline_K))}
+        shown = [(p, s) for p, s in styled if key == "surface_K" or p.name not in hot]
         curves = [Curve(p.name, p.time_s, getattr(p, key), **s) for p, s in shown]
         for p, s in shown:
             limit = limits.get(p.name, {}).get(key)

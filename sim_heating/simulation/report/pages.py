@@ -83,7 +83,10 @@ def run_page(
     )
     margins = [k for k, column in enumerate(peaks.layout) if column.head == "margin"]
     beyond = [i for i, row in enumerate(peaks.rows) if any((row[k] or 0.0) < 0.0 for k in margins)]
-    table = replace(peaks, title="Bold: a limit is exceeded." if beyond else "", strong=beyond, sortable=_long(peaks))
+    captions = ["Bold: a limit is exceeded."] if beyond else []
+    if any("band" in point for point in summary["control_points"].values()):
+        captions.append("Margin at the band: of the upper end of the 95 % band; below 0 where that exceeds the limit.")
+    table = replace(peaks, title=" ".join(captions), strong=beyond, sortable=_long(peaks))
     temperatures = temperature_chart(points, windows, limits, SavedPicture(pictures.temperatures))
     lines = [*range_lines(summary["control_points"]), *rising_bondlines(summary["control_points"])]
     sections = [
@@ -159,11 +162,13 @@ def prediction_page(
 
 
 def _outcome(summary: Mapping[str, Any]) -> tuple[str, str]:
-    """RMSE over the fit segments, and over those held out."""
+    """RMSE over the fit segments, and over those held out; with a band the share of readings within it."""
     fit, holdout, floor = summary["fit"], summary["holdout"], summary["noise_floor_K"]
     head = "No sample in the fit segments" if fit is None else f"RMSE {fit['rmse_K']:.2f} K"
     parts = [] if holdout is None else [f"held out {holdout['rmse_K']:.2f} K"]
     parts += [] if floor is None else [f"noise floor {floor:.2f} K"]
+    within = summary.get("band", {}).get("within")
+    parts += [] if within is None else [f"{within:.0%} of the readings within the 95 % band"]
     line = "; ".join(parts)
     return head, f"{line[0].upper()}{line[1:]}." if line else ""
 

@@ -24,13 +24,11 @@ from sim_heating.base.report.figure import (
     replaced_if_undrawable,
     save_figure,
 )
-from sim_heating.march.history import Band, PointHistory
+from sim_heating.march.history import Band, PointHistory, is_hot_structure
 from sim_heating.trajectory.flight import Window
 
 BEFORE_S, AFTER_S = 15.0, 25.0
 """Time before and after a manoeuvre that is drawn [s]."""
-HOT_STRUCTURE = 0.95
-"""Ratio of bondline to surface peak above which a point is hot structure and has no line among the bondlines."""
 LIMITS_SHOWN = 4
 """Number of points in a picture of temperatures up to which their limits are drawn as well."""
 LEGEND_TEXT = {"fontsize": 7.5, "title_fontsize": 8}
@@ -122,7 +120,7 @@ def draw_temperatures(
     style = _styles(points, {p.name: p.surface_K for p in points})
     hottest = [p for name in style for p in points if p.name == name]
     _plot_by_peak(axes[0], {p.name: (p.time_s, p.surface_K) for p in hottest}, style, "surface temperature, K")
-    insulated = [p for p in hottest if np.max(p.bondline_K) < HOT_STRUCTURE * np.max(p.surface_K)]
+    insulated = [p for p in hottest if not is_hot_structure(np.max(p.surface_K), np.max(p.bondline_K))]
     _plot_by_peak(axes[1], {p.name: (p.time_s, p.bondline_K) for p in insulated}, style, "bondline temperature, K")
     for k, (a, shown, key) in enumerate(((axes[0], hottest, "surface_K"), (axes[1], insulated, "bondline_K"))):
         for p in shown:

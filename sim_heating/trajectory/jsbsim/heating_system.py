@@ -1,21 +1,25 @@
 """The heating ratio of a point as a table of JSBSim, in a system that gives the radiative-equilibrium temperature.
 
     r h_ref (H_r - H_w(T)) = eps(T) sigma (T^4 - T_sur^4)
+    H_r = H_0 - (1 - r_e) u_e^2 / 2,   H_0 = V^2/2 + cp T_inf
 
-The system stands in any aircraft, `<system file="NAME"/>`, and reads speed, altitude, density, angle of attack and
-sideslip of JSBSim, and its own properties heating/elevon-deg and heating/bodyflap-deg, which a script or another system
-sets. Temperature and Reynolds number are derived from altitude and density: JSBSim's temperature is constant above 86
-km. h_ref is a table of the reference model in speed and density at the temperatures of the standard atmosphere.
+u_e is the speed at the edge of the point's boundary layer, r_e the recovery factor there; a point without an edge has
+H_r = H_0. The system stands in any aircraft, `<system file="NAME"/>`, and reads speed, altitude, density, angle of
+attack and sideslip of JSBSim, and its own properties heating/elevon-deg and heating/bodyflap-deg, which a script or
+another system sets. Temperature and Reynolds number are derived from altitude and density: JSBSim's temperature is
+constant above 86 km. h_ref is a table of the reference model in speed and density at the temperatures of the standard
+atmosphere.
 
 The balance is solved by Newton's method in STEPS functions, from above: no conduction, so the temperature of a thin
 insulated skin, which leads that of a tile by some seconds.
 
 Source: JSBSim 1.3, FGTable (nested tableData, axes row, column, table, axis4, axis5) and FGFunction; surface balance:
-docs/theory/equations.md.
+docs/theory/equations.md; recovery enthalpy: docs/theory/equations_reference_heating.md, equations 18, 19 and 33a.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -30,12 +34,17 @@ from sim_heating.heating.atmosphere import CP_AIR, sutherland_viscosity, us76
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
 from sim_heating.heating.reference.models import reference_heating, reference_model
+from sim_heating.heating.reference.recovery import Recovery, recovery_factor
+from sim_heating.heating.reference.stagnation import SLOWEST_M_S
 from sim_heating.thermal.faces import SIGMA
 
 AXES = ("row", "column", "table", "axis4", "axis5")
 """Axes of a table of JSBSim, from the innermost."""
 STEPS = 12
 """Newton steps; from the radiation temperature of a cold wall, 8 reach 0.01 K."""
+ALPHA, BETA = "aero/alpha-deg", "aero/beta-deg"
+ELEVON, BODYFLAP = "heating/elevon-deg", "heating/bodyflap-deg"
+"""Properties of the angles [deg] that heating depends on."""
 COLDEST_K, HOTTEST_K = 50.0, 4000.0
 """Wall temperatures [K] between which the balance is solved."""
 WALL_PRESSURE_PA = 2000.0
@@ -122,6 +131,25 @@ def _in_one(x: ArrayLike, y: ArrayLike, variable: str) -> ET.Element:
     return nd_table([np.asarray(x, dtype=float)], np.asarray(y, dtype=float), [variable])
 
 
+def _cosine(angle_deg: ET.Element | str) -> ET.Element:
+    return _of("cos", _of("product", math.pi / 180.0, angle_deg))
+
+
+def _recovery_enthalpy(recovery: Recovery, speed: str, air_K: str) -> ET.Element:
+    """Recovery enthalpy of a point [J/kg] from properties of speed [m/s], air temperature [K] and angles [deg]."""
+    total = _of("sum", _of("product", 0.5, speed, speed), _of("product", CP_AIR, air_K))
+    if recovery.kind == "total":
+        return total
+    if recovery.of_surface:
+        turned = (_of("product", recovery.elevon_factor, ELEVON), _of("product", recovery.bodyflap_factor, BODYFLAP))
+        edge = _of("product", speed, _of("abs", _cosine(_of("sum", ALPHA, recovery.local_angle_deg, *turned))))
+        edge = _of("max", edge, SLOWEST_M_S)
+    else:
+        edge = _of("product", math.sin(math.radians(recovery.sweep_deg)), speed, _cosine(ALPHA))
+    missing = 0.5 * (1.0 - recovery_factor(recovery.kind == "edge-turbulent"))
+    return _of("difference", total, _of("product", missing, _of("pow", edge, 2.0)))
+
+
 def jsbsim_system_text(
     name: str,
     table: RatioTable,
@@ -132,7 +160,7 @@ def jsbsim_system_text(
     emissivity: Sequence[Sequence[float]],
     wall_enthalpy: str | float | Mapping[str, float],
     surroundings_K: float = 0.0,
-    recovery: str = "total",
+    recovery: Recovery | None = None,
     where: str = "",
 ) -> str:
     """The text of a system of JSBSim that gives heating ratio, film coefficient and equilibrium temperature of a point.
@@ -144,9 +172,10 @@ def jsbsim_system_text(
     emissivity         : [[T, value], ...] of the outer layer [K], [-]
     wall_enthalpy      : as `wall_enthalpy_grid` takes it
     surroundings_K     : temperature that the surface radiates to [K]
-    recovery           : enthalpy that the point's ratio is used with; JSBSim has the total alone
+    recovery           : enthalpy that the point's ratio is reduced with; by default the total enthalpy. Of
+                         `edge-laminar` the rise in turbulent flow is left out, as the turbulent table is
     where              : the table in messages
-    raises             : InputError for another reference, or a ratio over another recovery enthalpy than the total
+    raises             : InputError for another reference
     """
     model = reference_model(reference)
     if not set(model.needs) <= {"velocity_m_s", "T_inf_K", "rho_kg_m3"} or reference in ("columns", "none"):
@@ -154,14 +183,9 @@ def jsbsim_system_text(
             f"{where or name}: the reference `{reference}` is not one of speed and density alone; JSBSim "
             "has no other: use fay-riddell, sutton-graves or detra-kemp-riddell"
         )
-    if recovery != "total":
-        raise InputError(
-            f"{where or name}: its recovery enthalpy is `{recovery}`; a system of JSBSim has `total` alone; fly "
-            "the FMU of `fmu export`"
-        )
     root = ET.Element("system", name=f"heating of {name}")
     root.append(ET.Comment(f" Radiative equilibrium of {name}: no conduction, no effects, laminar table. "))
-    for control in ("heating/elevon-deg", "heating/bodyflap-deg"):
+    for control in (ELEVON, BODYFLAP):
         ET.SubElement(root, "property", value="0").text = control
     channel = ET.SubElement(root, "channel", name=f"heating of {name}")
     at = f"heating/{name}"
@@ -177,20 +201,13 @@ def jsbsim_system_text(
     reynolds = _of("quotient", _of("product", density, speed, reference_length_m), viscosity)
     log_re = _function(channel, f"{at}/log10-reynolds", _of("log10", _of("max", reynolds, 1e-3)))
 
-    variables = dict(
-        zip(
-            RATIO_VARIABLES,
-            ("aero/alpha-deg", "aero/beta-deg", log_re, "heating/elevon-deg", "heating/bodyflap-deg"),
-            strict=True,
-        )
-    )
+    variables = dict(zip(RATIO_VARIABLES, (ALPHA, BETA, log_re, ELEVON, BODYFLAP), strict=True))
     ratio = _function(channel, f"{at}/ratio", nd_table(table.axes, table.ratio, list(variables.values())))
     film = _film_table(reference, nose_radius_m, rho, T_inf)
     h_ref = nd_table([SPEEDS_M_S, np.log10(rho)[::-1]], film[:, ::-1], [speed, log_rho])
     h_ref = _of("product", h_ref, _of("sqrt", density))
     h = _function(channel, f"{at}/film-kg_m2_s", _of("product", ratio, h_ref))
-    total = _of("sum", _of("product", 0.5, speed, speed), _of("product", CP_AIR, air_K))
-    H_r = _function(channel, f"{at}/recovery-J_kg", total)
+    H_r = _function(channel, f"{at}/recovery-J_kg", _recovery_enthalpy(recovery or Recovery(), speed, air_K))
 
     wall_K = np.linspace(COLDEST_K, HOTTEST_K, 159)
     H_w = wall_enthalpy_grid(wall_enthalpy, wall_K, [WALL_PRESSURE_PA])[:, 0]
