@@ -22,7 +22,7 @@ NO_UNIT = {
 NO_SOURCE = NO_UNIT | {
     # read, write, copy or select numbers
     "pack_table", "read_ratio_table", "write_ratio_table", "ratio_table_text", "parameters", "block", "integers",
-    "node_temperatures", "lost", "within", "chosen", "read", "track_of_record", "over_midnight",
+    "node_temperatures", "lost", "within", "chosen", "read", "track_of_record", "over_midnight", "by_name",
     # lengths and indices of a declared stack
     "thickness_m", "interfaces_m", "bondline_m", "holds", "angle_deg", "cell", "cell_by_bisection",
 }  # fmt: skip

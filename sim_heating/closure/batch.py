@@ -123,7 +123,7 @@ def close_all(
                 out / LEDGER,
                 scheduler=scheduler,
                 workers=workers,
-                is_current=_closure_is_there,
+                is_current=results_are_there,
                 progress=progress,
             )
         except KeyboardInterrupt:  # processes that were ended leave what they had begun to write
@@ -191,15 +191,7 @@ def _close_record(task: Task) -> bytes:
 
 def results_are_there(job: Job, finished: bytes) -> bool:
     """Whether the folder of a finished job, `task.out`, still holds what was written into it."""
-    try:
-        return bool(json.loads(finished)["results"] == results_digest(job.task.out))
-    except (ValueError, KeyError, TypeError):  # written by an earlier version
-        return False
-
-
-def _closure_is_there(job: Job, finished: bytes) -> bool:
-    """Whether a record's closed loop is there, with the residuals that the page of all records draws."""
-    return results_are_there(job, finished) and "residuals" in json.loads(finished)
+    return bool(json.loads(finished)["results"] == results_digest(job.task.out))
 
 
 def summary_row(report: Any) -> dict[str, Any]:

@@ -25,19 +25,17 @@ NAME = "curve.csv"
 """File of a curve beside a closure report."""
 
 
-def curve_trials(base: TrialFit, names: Sequence[str] = (), *, min_gain_share: float = 0.1) -> list[TrialFit]:
+def curve_trials(base: TrialFit) -> list[TrialFit]:
     """A curve in each variable on top of a model, the best first.
 
-    names   : names of the effects in the model
     returns : trials, by BIC and the segments held out, each over the chi-square of the best; empty where a curve is in
               the model already. Time comes first only where it leaves less than half of what any other variable does:
               any residual is a function of time.
-
-    min_gain_share : part of the best predicted gain below which a curve is not fitted
     """
+    min_gain_share = 0.1  # part of the best predicted gain below which a curve is not fitted
     record = base.record_fit.record
     flown = conditions_of_record(record)
-    everything = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), names, last_resort=True)
+    everything = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), last_resort=True)
     tried = [c for c in everything if c.name == CURVE]
     gains = predicted_gains(base, tried)
     least = min_gain_share * max(gains, default=0.0)
@@ -49,12 +47,10 @@ def curve_trials(base: TrialFit, names: Sequence[str] = (), *, min_gain_share: f
     return _ranked(base, [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in fits])
 
 
-def _ranked(base: TrialFit, trials: Sequence[TrialFit], *, max_excess_of_time: float = 0.5) -> list[TrialFit]:
-    """Trials with their scores, the best first and time as `curve_trials` states.
-
-    max_excess_of_time : excess chi-square that a curve in time may leave at most, over the least of the other
-        variables, to be preferred
-    """
+def _ranked(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:
+    """Trials with their scores, the best first and time as `curve_trials` states."""
+    # excess chi-square that a curve in time may leave at most, over the least of the other variables, to be preferred
+    max_excess_of_time = 0.5
     if not trials:
         return []
     c = max(1.0, 1.0 + min(t.excess_chi2 for t in trials))
@@ -78,11 +74,11 @@ def _is_in_time(candidate: Candidate) -> bool:
     return used.values[VARIABLE] == TIME
 
 
-def curve_of(trial: TrialFit, points: int = 61) -> CurveBand:
-    """The curve of a trial with its standard deviation, at even points from its first knot to its last.
+def curve_of(trial: TrialFit) -> CurveBand:
+    """The curve of a trial with its standard deviation, at 61 even points from its first knot to its last.
 
     It is 0 at the reference condition of the fit; at the middle of its knots where that has not its variable.
-    trial  : one with a curve in its model;  points : their number
+    trial  : one with a curve in its model
     raises : InputError where its covariance is not known
     """
     (used,) = (u for u in trial.record_fit.model_at(trial.fit.values).effects if u.effect.name == CURVE)
@@ -91,7 +87,7 @@ def curve_of(trial: TrialFit, points: int = 61) -> CurveBand:
     number, low, high = used.values[:FIRST]
     name, reference = VARIABLES[int(number)], dict(zip(RATIO_VARIABLES, trial.problem.reference, strict=True))
     about = float(np.clip(reference.get(name, 0.5 * (low + high)), low, high))
-    return curve_band(used.values, trial.fit.covariance[np.ix_(at, at)], np.linspace(low, high, points), about)
+    return curve_band(used.values, trial.fit.covariance[np.ix_(at, at)], np.linspace(low, high, 61), about)
 
 
 def curve_words(band: CurveBand) -> str:

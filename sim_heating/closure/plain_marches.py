@@ -8,7 +8,6 @@ that: Gauss and Newton's iteration over flight and parameters. Source: docs/theo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,21 +23,14 @@ from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.simulation.predict import Prediction
 
 
-def plain_marches(
-    fitted: FitResult,
-    *,
-    limit: float = 3.0,
-    rounds: int = 8,
-    steps: Sequence[float] = (1.0, 0.5, 0.25, 0.1, 0.03),
-    settled: float = 0.5,
-) -> list[Prediction]:
+def plain_marches(fitted: FitResult) -> list[Prediction]:
     """The plain march of each record of a fit, whose parameters and flights are fitted once more without an error of
     the heating; as they are where the model has none.
-
-    limit  : standard deviations by which each error of a flight may be off [-]
-    rounds : responses that are taken at most;  steps : parts of a step that are tried, the largest first
-    settled: gain in log posterior [-] that ends it
     """
+    limit = 3.0  # standard deviations by which each error of a flight may be off [-]
+    rounds = 8  # responses that are taken at most
+    steps = (1.0, 0.5, 0.25, 0.1, 0.03)  # parts of a step that are tried, the largest first
+    settled = 0.5  # gain in log posterior [-] that ends it
     exact = fitted.problem.without_heating_error()
     if exact is fitted.problem:
         return list(fitted.after)

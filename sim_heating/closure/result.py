@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.files import finite_or_none
 from sim_heating.base.files.text import listed
 from sim_heating.base.parameters import AT
 from sim_heating.closure.clues.correlation import ResidualEvidence
@@ -62,7 +63,7 @@ class ParameterEstimate:
 
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
-        return {"value": float(self.value), "sigma": finite(self.sigma), "unit": self.unit}
+        return {"value": float(self.value), "sigma": finite_or_none(self.sigma), "unit": self.unit}
 
 
 def values_in_words(parameters: Mapping[str, ParameterEstimate]) -> str:
@@ -83,11 +84,6 @@ def _value_in_words(name: str, p: ParameterEstimate) -> str:
         where = f" in {whose}" if at else ""
         return f"{noun} {abs(percent):.2g} % {'higher' if percent > 0.0 else 'lower'}{where}"
     return f"{name} {p.value:.3g}{'' if p.unit == '1' else f' {p.unit}'}"
-
-
-def finite(value: float | None) -> float | None:
-    """A number for JSON: None where it is not finite."""
-    return float(value) if value is not None and math.isfinite(value) else None
 
 
 @dataclass(frozen=True)
@@ -341,7 +337,7 @@ class CandidateScore:
 
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
-        errors = {"fit_rmse_K": finite(self.fit_rmse_K), "holdout_rmse_K": finite(self.holdout_rmse_K)}
+        errors = {"fit_rmse_K": finite_or_none(self.fit_rmse_K), "holdout_rmse_K": finite_or_none(self.holdout_rmse_K)}
         return {"name": self.name, "delta_bic": self.delta_bic, **errors}
 
 

@@ -17,7 +17,7 @@ from sim_heating.closure.clues.record_checks import TRAJECTORY, DataFault, magni
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.curves import curve_of
 from sim_heating.closure.prior.model_error import SmoothFlightError
-from sim_heating.closure.prior.table import table_error, table_findings, table_findings_with_prior, table_prior
+from sim_heating.closure.prior.table import table_error, table_findings, table_prior
 from sim_heating.closure.result import (
     NONE,
     PARTLY,
@@ -141,11 +141,9 @@ def _resembles(result: SearchResult) -> list[str]:
     return [_in_words(result, name) for name in result.compared.names]
 
 
-def _barred(result: SearchResult, *, most_barred: int = 5) -> list[Barred]:
-    """Models that fit better than the best that may be named, with the reason for which they may not be.
-
-    most_barred : models that may not be named, which are listed at most
-    """
+def _barred(result: SearchResult) -> list[Barred]:
+    """Models that fit better than the best that may be named, with the reason for which they may not be."""
+    most_barred = 5  # models that may not be named, which are listed at most
     best, seen = result.compared, dict[tuple[str, ...], Barred]()
     for h in sorted(result.hypotheses, key=lambda h: h.score):
         gain = 0.5 * (best.score - h.score)
@@ -195,7 +193,10 @@ def _not_effects(result: SearchResult) -> list[NotEffect]:
         return []
     labels = result.before.labels
     prior, none = table_prior(result.record, labels, result.before.problem.reference), result.none.last
-    findings = table_findings(result.before, prior) if is_exact(none) else table_findings_with_prior(none.fit, prior)
+    # the first fit has flat priors; one with an error of the model has that of the table in it
+    flat = is_exact(none)
+    fit, covariance = (result.before.fit, result.before.bounds.covariance) if flat else (none.fit, none.fit.covariance)
+    findings = table_findings(fit, covariance, prior, has_prior=not flat)
     return [
         NotEffect("table", f.what, {n: ParameterEstimate(v, s, MODEL[n].unit) for n, (v, s) in f.parameters.items()})
         for f in findings
@@ -432,9 +433,7 @@ def rmse_K(trial: TrialFit, problem: FitProblem) -> float:
         u = trial.problem.errors(trial.fit.values)[0]
     except RunError:
         return math.nan
-    residuals = np.concatenate(
-        [0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) - s.mean_K for s in samples]
-    )
+    residuals = np.concatenate([s.channel.intervals.centre_K - s.mean_K for s in samples])
     if fit.model_error is not None and fit.error_root_K is not None:
         flight = fit.model_error.of_flight
         residuals -= fit.error_root_K[:, flight] @ u[flight]

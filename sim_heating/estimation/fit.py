@@ -496,15 +496,11 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
 
     For records from which no magnitude of the heating can be estimated, such as one under a lamp.
     """
-    checked, notes = observability.without_stuck_sensors(load_record(record))
-    checked, outliers = without_outliers(checked)
-    notes += outlier_lines(outliers, {checked.name: checked})
-    checked, averaged = averaged_record(checked)
-    notes = [*averaged, *notes]
-    problem = FitProblem([checked], (), joint_reference([checked]))
+    cleaned, outliers, notes = _cleaned([load_record(record)], no_progress)
+    problem = FitProblem(cleaned, (), joint_reference(cleaned))
     _check_samples(problem)
     nothing = np.zeros(0)
-    if any(c.sensor.noise_sigma_K is None for c in problem.record_fits[0].channels):
+    if _lacks_noise(problem):
         problem.update_noise(nothing)
     problem.correct_meshes(nothing)
     evaluation = problem.evaluate(nothing)
@@ -691,6 +687,11 @@ def is_d0(parameter: Parameter) -> bool:
     return parameter.name == observability.MAGNITUDES[1]
 
 
+def _lacks_noise(problem: FitProblem) -> bool:
+    """Whether a fitted sensor declares no noise, which is then estimated."""
+    return any(c.sensor.noise_sigma_K is None for r in problem.record_fits for c in r.channels)
+
+
 def _part_done(steps: int) -> float:
     """Part of a fit that is done after a number of steps, which is usually three to five and not known before."""
     return 0.9 * (1.0 - 0.65**steps)
@@ -705,9 +706,7 @@ def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None
         LOG.debug("iteration %d: log posterior %.4f at %s", steps[0], log_posterior, vector)
         progress(_part_done(steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}")
 
-    unknown_noise = any(
-        c.sensor.noise_sigma_K is None for record_fit in problem.record_fits for c in record_fit.channels
-    )
+    unknown_noise = _lacks_noise(problem)
     if unknown_noise:
         # residuals at the start include model errors: this noise is too large, and is set again after the fit
         problem.update_noise(first)
@@ -745,7 +744,7 @@ def _fit_with_errors(
     problem: FitProblem, first: FloatArray, stated: Sequence[StatedError], settings: NewtonSettings | None
 ) -> tuple[FitProblem, Fit]:
     """The problem with the errors of its models, as large as the readings say, and its fit."""
-    if any(c.sensor.noise_sigma_K is None for r in problem.record_fits for c in r.channels):
+    if _lacks_noise(problem):
         problem.update_noise(first)
     problem.correct_meshes(first)
     noisy, _ = with_stated_errors(problem, first, stated, sized=False)

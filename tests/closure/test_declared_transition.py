@@ -11,7 +11,6 @@ import pytest
 
 from sim_heating.cli import main
 from sim_heating.closure.close import close_loop
-from sim_heating.closure.revise.effects import parameter_values
 from sim_heating.closure.revise.errors import held_fits
 from sim_heating.closure.revise.update import prepare_update
 from sim_heating.estimation.fit import estimate
@@ -116,7 +115,7 @@ def test_a_turbulent_table_that_points_share_stays_and_the_factor_takes_its_chan
     update = prepare_update("shared.json", tmp_path / "orbiter")
     assert update.turbulent is None
     (transition,) = (u for u in update.effects.after if u.effect.name == "transition")
-    assert parameter_values(transition)["factor"] == pytest.approx(1.0 + SCALE, abs=0.01)
+    assert transition.by_name["factor"] == pytest.approx(1.0 + SCALE, abs=0.01)
     assert held_fits(update)["record"].is_held
 
     write_estimate("shared.json", estimate_contents(estimate(record, ["ratio.scale"])))

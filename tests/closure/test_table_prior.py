@@ -15,7 +15,6 @@ from sim_heating.closure.prior.table import (
     _of_default_sigma,
     table_error,
     table_findings,
-    table_findings_with_prior,
     table_prior,
     undeclared_derivatives,
 )
@@ -87,7 +86,9 @@ def test_a_wrong_alpha_derivative_is_named_with_its_value_and_a_right_table_is_n
     declared = flown_with({"alpha_deg": ALPHA, "elevon_deg": [-10.0, 15.0]}, sigma=0.02)
     wanted, off = ["ratio.scale", "ratio.d_alpha"], 6e-4
     wrong, right = (
-        table_findings(fit, table_prior(record, wanted, fit.problem.reference))
+        table_findings(
+            fit.fit, fit.bounds.covariance, table_prior(record, wanted, fit.problem.reference), has_prior=False
+        )
         for record in (record_with([], 4, declared=declared, ratio__d_alpha=error)[0] for error in (off, 0.0))
         for fit in [estimate([record], wanted)]
     )
@@ -102,11 +103,15 @@ def test_a_wrong_alpha_derivative_is_named_with_its_value_and_a_right_table_is_n
 def test_a_wrong_alpha_derivative_is_named_by_a_fit_with_its_prior() -> None:
     declared = flown_with({"alpha_deg": ALPHA, "elevon_deg": [-10.0, 15.0]}, sigma=0.02)
     wrong, right = (
-        table_findings_with_prior(
-            base_trial(fit).fit, table_prior(fit.problem.record_fits[0].record, fit.labels, fit.problem.reference)
+        table_findings(
+            fitted,
+            fitted.covariance,
+            table_prior(fit.problem.record_fits[0].record, fit.labels, fit.problem.reference),
+            has_prior=True,
         )
         for record in (record_with([], 4, declared=declared, ratio__d_alpha=error)[0] for error in (6e-4, 0.0))
         for fit in [declared_fit(record)]
+        for fitted in [base_trial(fit).fit]
     )
     assert right == []
     assert wrong[0].what.startswith("the table's alpha derivative is too low by 0.00")

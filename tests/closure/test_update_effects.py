@@ -11,7 +11,7 @@ import pytest
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_json
 from sim_heating.cli import main
-from sim_heating.closure.revise.effects import edit_effects, parameter_values
+from sim_heating.closure.revise.effects import edit_effects
 from sim_heating.closure.revise.update import prepare_update
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.report.estimate_file import read_estimate, write_estimate
@@ -62,7 +62,7 @@ def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def declared() -> dict[str, dict[str, float]]:
     """Effects of the control point as the vehicle has them."""
-    return {u.effect.name: parameter_values(u) for u in load_vehicle("./orbiter").control_point(POINT).effects}
+    return {u.effect.name: u.by_name for u in load_vehicle("./orbiter").control_point(POINT).effects}
 
 
 @pytest.mark.thorough
@@ -138,7 +138,7 @@ def test_effects_follow_the_ratio_that_the_table_shifts_from_the_fit(workdir: Pa
     ((_, estimated, _, _, _, drawn, _),) = update.parameter_comparison()
     assert abs(drawn - estimated) > 0.2 * scale.sigma
     transition = update.effects.after[0]
-    follow = (parameter_values(transition)["factor"] - factor.value) / factor.sigma
+    follow = (transition.by_name["factor"] - factor.value) / factor.sigma
     assert follow == pytest.approx(rho * (drawn - estimated) / scale.sigma, abs=1e-4)
 
 

@@ -5,15 +5,7 @@ A problem is one line with file, place, value and rule: `record.toml, [thermocou
 a file are reported at once.
 """
 
-from sim_heating.base.files.csv_table import (
-    COLDEST_K,
-    CsvTable,
-    celsius_rule,
-    csv_columns,
-    csv_text,
-    read_csv_columns,
-    write_csv,
-)
+from sim_heating.base.files.csv_table import COLDEST_K, CsvTable, celsius_rule, csv_text, read_csv_columns, write_csv
 from sim_heating.base.files.paths import display_path, file_digest, text_digest
 from sim_heating.base.files.provenance import PROVENANCE, provenance_attributes, with_provenance
 from sim_heating.base.files.results import (
@@ -23,6 +15,7 @@ from sim_heating.base.files.results import (
     all_files_written,
     digest_matches,
     files_written,
+    finite_or_none,
     json_text,
     output_directory,
     read_json,
@@ -63,8 +56,8 @@ from sim_heating.base.files.transaction import exclusive, replace_files, require
 
 __all__ = [
     "COLDEST_K", "DIGEST", "MARKER", "OR_FORCE", "PROVENANCE", "Convertible", "CsvTable", "Declared", "Extensible",
-    "FileOfFolder", "LocatedError", "Location", "Roots", "all_files_written", "celsius_rule", "check", "csv_columns",
-    "csv_text", "digest_matches", "display_path", "exclusive", "file_digest", "files_written", "json_text",
+    "FileOfFolder", "LocatedError", "Location", "Roots", "all_files_written", "celsius_rule", "check", "csv_text",
+    "digest_matches", "display_path", "exclusive", "file_digest", "files_written", "finite_or_none", "json_text",
     "known_keys", "nearest_name", "output_directory", "path_below", "plain_number", "provenance_attributes",
     "raise_located", "raise_problems", "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml",
     "read_toml_dict", "repeated_name", "replace_files", "replaces_others", "replacing_others", "require_exclusive",

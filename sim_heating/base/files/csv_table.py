@@ -46,7 +46,6 @@ class CsvTable:
     header  : `# key: value` lines before the names
     path    : the file, for messages
     lines   : (row,) line number of each row in the file
-    text    : name -> cells of the columns requested as text
     heads   : name -> head of its column in the file, where that is another
     """
 
@@ -54,7 +53,6 @@ class CsvTable:
     header: dict[str, str]
     path: Path
     lines: NDArray[np.int64]
-    text: dict[str, list[str]] = field(default_factory=dict)
     heads: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> FloatArray:
@@ -77,14 +75,14 @@ class CsvTable:
             return []
         return [self.problem(int(bad[0]), column, rule) + and_more_rows(bad.size)]
 
-    def order_problems(self, column: str = "time_s") -> list[str]:
-        """Problems of a column that must increase from row to row."""
-        values = self.columns[column]
+    def order_problems(self) -> list[str]:
+        """Problems of `time_s`, which must increase from row to row."""
+        values = self.columns["time_s"]
         bad = np.flatnonzero(~(np.diff(values) > 0.0)) + 1
         if bad.size == 0:
             return []
-        before = f"does not come after {values[bad[0] - 1]:.10g}; sort the rows by {column} and remove repeated ones"
-        return [f"{self._cell(int(bad[0]), column)}: {values[bad[0]]:.10g} {before}"]
+        before = f"does not come after {values[bad[0] - 1]:.10g}; sort the rows by time_s and remove repeated ones"
+        return [f"{self._cell(int(bad[0]), 'time_s')}: {values[bad[0]]:.10g} {before}"]
 
     def with_columns(self, columns: Mapping[str, FloatArray]) -> CsvTable:
         """Copy of the table with columns added, each (row,) in the unit that its name ends in."""
@@ -115,43 +113,24 @@ def read_csv_columns(
     required: Sequence[str],
     optional: Sequence[str] = (),
     *,
+    content: str | None = None,
     allow_empty: Iterable[str] = (),
     keep_other: bool = True,
-    text: Sequence[str] = (),
+    heads: Mapping[str, str] | None = None,
 ) -> CsvTable:
     """Read a CSV file with one row of names and numbers below it.
 
     required    : columns that must exist
     optional    : known columns that may be absent; a similar name in place of an absent one is an error
+    content     : text of the file, where it has been read already; messages name the path all the same
     allow_empty : columns of readings: an empty cell is a lost sample (NaN)
     keep_other  : keep further columns, which must be numeric too
-    text        : columns kept as text
+    heads       : column -> its head in the file, for messages, where the content has other names than the file
     raises      : InputError naming row, column and value, all problems at once
     """
-    return csv_columns(
-        Path(path), read_text(path), required, optional, allow_empty=allow_empty, keep_other=keep_other, text=text
-    )
-
-
-def csv_columns(
-    path: Path,
-    content: str,
-    required: Sequence[str],
-    optional: Sequence[str] = (),
-    *,
-    allow_empty: Iterable[str] = (),
-    keep_other: bool = True,
-    text: Sequence[str] = (),
-    heads: Mapping[str, str] | None = None,
-) -> CsvTable:
-    """The table that the text of a CSV file holds; the path is that of the messages.
-
-    heads : column -> its head in the file, for messages, where the content has other names than the file
-
-    Other parameters, result and errors as in `read_csv_columns`.
-    """
+    path, content = Path(path), read_text(path) if content is None else content
     lost, heads = set(allow_empty), heads or {}
-    if len(content) > LARGE_TEXT and not text:
+    if len(content) > LARGE_TEXT:
         large = _large_table(path, content, required, optional, lost, keep_other)
         if large is not None:
             return replace(large, heads=heads)
@@ -161,15 +140,14 @@ def csv_columns(
     raise_problems(_ragged_rows(file, rows, lines, len(names)))
     raise_problems(_units_problems(file, rows, lines, bool(lost)))
     cells = dict(zip(names, zip(*rows, strict=True), strict=True))
-    selected = [n for n in names if keep_other or n in {*required, *optional, *text}]
+    selected = [n for n in names if keep_other or n in {*required, *optional}]
     columns: dict[str, FloatArray] = {}
     problems: list[str] = []
-    for name in (n for n in selected if n not in text):
+    for name in selected:
         columns[name], bad = _numbers(cells[name], name in lost)
         problems += [f"{file}, row {lines[i]}, column {_in_file(name, heads)}: {problem}" for i, problem in bad]
     raise_problems(problems)
-    texts = {n: [c.strip() for c in cells[n]] for n in selected if n in text}
-    return CsvTable(columns, header, path, np.array(lines, dtype=np.int64), texts, heads)
+    return CsvTable(columns, header, path, np.array(lines, dtype=np.int64), heads)
 
 
 def _large_table(

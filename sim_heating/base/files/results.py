@@ -89,6 +89,11 @@ def finite_json(data: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**_with_null(data), LEFT_OUT: entries}
 
 
+def finite_or_none(value: float | None) -> float | None:
+    """A number as JSON has it: None where it is not finite."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
 def write_json(path: str | os.PathLike[str], data: Mapping[str, Any]) -> None:
     """Write results as JSON, whole or not at all; None and numbers that are not finite become null (finite_json).
 

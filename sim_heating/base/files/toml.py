@@ -68,9 +68,8 @@ class Declared(BaseModel):
         """Location and text of each number of the file that is possible and outside what is usual; one a field."""
         remarks: list[tuple[Location, str]] = []
         for name in (n for n in type(self).model_fields if n in self.model_fields_set):
-            remarks += [
-                ((name, *below), text) for below, text in _quantity_remarks(self, name, getattr(self, name))[:1]
-            ]
+            judged = _judged_numbers(self, name, getattr(self, name), _unusual_numbers)
+            remarks += [((name, *below), text) for below, text in judged[:1]]
         return remarks
 
 
@@ -125,11 +124,6 @@ def _quantity_problems(model: Declared, name: str, value: Any) -> list[tuple[Loc
     if problems or not isinstance(declared, tuple) or not isinstance(value, (list, tuple)) or declared[0] is None:
         return problems
     return _axis_problems(quantity(_meant(model, declared[0])), value)
-
-
-def _quantity_remarks(model: Declared, name: str, value: Any) -> list[tuple[Location, str]]:
-    """The unusual numbers of one field, as `_quantity_problems` has the impossible ones."""
-    return _judged_numbers(model, name, value, _unusual_numbers)
 
 
 def _judged_numbers(

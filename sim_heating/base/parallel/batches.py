@@ -82,12 +82,6 @@ class Outcome:
     failed: dict[str, str]
 
 
-def _is_done(job: Job, out: Path, is_current: Callable[[Job, bytes], bool]) -> bool:
-    """Whether a job has a result of an earlier run that still holds."""
-    stored = _stored_result(out, job.id)
-    return stored is not None and is_current(job, stored)
-
-
 def run_batches(
     jobs: Sequence[Job],
     function: Work,
@@ -115,37 +109,23 @@ def run_batches(
         raise InputError(f"jobs: the id `{name}` is repeated; give each job its own")
     with exclusive(out):
         clear_partial_files(out)
-        remaining = [job for job in jobs if not _is_done(job, out, is_current)]
-        counter = _JobProgress(len(jobs), len(jobs) - len(remaining), progress)
+        remaining = [j for j in jobs if (result := _stored_result(out, j.id)) is None or not is_current(j, result)]
+        done = len(jobs) - len(remaining)
+        before = f", {done} of them finished before" if done else ""
+        progress(done / max(len(jobs), 1), f"{len(jobs)} batches{before}")
         failed = {}
         if scheduler is None and (workers == 1 or len(remaining) <= 1):
             running = _run_locally(remaining, function)
         else:
             running = _run_on_dask(remaining, function, scheduler, workers)
-        for job_id, result in running:
-            _store_result(out, job_id, result)
-            if isinstance(result, BaseException):
-                failed[job_id] = error_line(result)
-            counter.count_one()
-    done = {name: out / name for name in names if name not in failed}
-    return Outcome(done, {job.id: failed[job.id] for job in remaining if job.id in failed})
-
-
-@dataclass
-class _JobProgress:
-    """Progress in jobs, reported as each one finishes."""
-
-    jobs: int
-    done: int
-    progress: Progress
-
-    def __post_init__(self) -> None:
-        before = f", {self.done} of them finished before" if self.done else ""
-        self.progress(self.done / max(self.jobs, 1), f"{self.jobs} batches{before}")
-
-    def count_one(self) -> None:
-        self.done += 1
-        self.progress(self.done / self.jobs, f"batches: {self.done} of {self.jobs}")
+        for job_id, outcome in running:
+            _store_result(out, job_id, outcome)
+            if isinstance(outcome, BaseException):
+                failed[job_id] = error_line(outcome)
+            done += 1
+            progress(done / len(jobs), f"batches: {done} of {len(jobs)}")
+    files = {name: out / name for name in names if name not in failed}
+    return Outcome(files, {job.id: failed[job.id] for job in remaining if job.id in failed})
 
 
 def _store_result(out: Path, job_id: str, result: bytes | BaseException) -> None:
@@ -182,15 +162,13 @@ def error_line(error: BaseException) -> str:
 
 def _run_locally(jobs: Sequence[Job], function: Work) -> Iterator[tuple[str, bytes | BaseException]]:
     for job in jobs:
-        yield job.id, _run_job(function, job.task)
-
-
-def _run_job(function: Work, task: Any) -> bytes | BaseException:
-    try:
-        with one_thread():
-            return function(task)
-    except Exception as error:
-        return error
+        result: bytes | BaseException
+        try:
+            with one_thread():
+                result = function(job.task)
+        except Exception as error:
+            result = error
+        yield job.id, result
 
 
 # On Dask ------------------------------------------------------------------------------------------------------------
@@ -228,7 +206,9 @@ def _run_on_dask(
             for future, result in running:
                 if future.cancelled():
                     raise CancelledError(future.key)
-                yield by_key[future.key], (_job_error(result) if future.status == "error" else result)
+                # of a failed job Dask returns type, error and traceback
+                is_error = future.status == "error" and isinstance(result, tuple)
+                yield by_key[future.key], result[1] if is_error else result
                 running.update(submit(1))
 
         suspects = []
@@ -263,11 +243,6 @@ def require_scheduler(address: str) -> None:
     require_dask()
     with _client(address, None):
         pass
-
-
-def _job_error(result: Any) -> BaseException:
-    """The exception of a failed job: Dask returns (type, error, traceback)."""
-    return result[1] if isinstance(result, tuple) else result
 
 
 def _pickled(function: Work) -> bytes:

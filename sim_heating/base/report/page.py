@@ -175,7 +175,8 @@ def page_html(page: Page, draws: Sequence[Callable[[], object]] = ()) -> str:
     charts = [c for section in page.sections for c in section.charts]
     pictures = {id(c): c.picture or Picture(c.figure, c.title) for c in charts if c.pictured}
     pictures |= {id(p): p for section in page.sections for p in section.pictures}
-    urls = dict(zip(pictures, draw_files(draws, [partial(_url_of, p) for p in pictures.values()]), strict=True))
+    before = [partial(getattr, p, "data_url") for p in pictures.values()]
+    urls = dict(zip(pictures, draw_files(draws, before), strict=True))
     scripts = _scripts(page, has_charts=bool(charts))
     return _template().render(
         page=page,
@@ -194,10 +195,6 @@ def _scripts(page: Page, has_charts: bool) -> list[Markup]:
     """Scripts that a page needs, those of all parts first."""
     names = [*(CHART_SCRIPTS if has_charts else ()), *(TABLE_SCRIPTS if _sortable(page) else ())]
     return [_asset(name) for name in (*(SHARED_SCRIPTS if names else ()), *names)]
-
-
-def _url_of(picture: Picture | SavedPicture) -> str:
-    return picture.data_url
 
 
 def _sortable(page: Page) -> bool:

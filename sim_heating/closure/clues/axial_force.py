@@ -50,13 +50,10 @@ class AxialStep:
         )
 
 
-def axial_steps(
-    record: Record, *, min_acceleration_g: float = 1e-4, max_steps: int = 4
-) -> tuple[AxialStep, ...] | None:
-    """The largest steps, more than half a window apart; None where the record has no axial acceleration.
-
-    min_acceleration_g : smaller accelerations are taken to be noise of the accelerometer
-    """
+def axial_steps(record: Record) -> tuple[AxialStep, ...] | None:
+    """The largest steps, more than half a window apart; None where the record has no axial acceleration."""
+    min_acceleration_g = 1e-4  # smaller accelerations are taken to be noise of the accelerometer
+    max_steps = 4
     flown = record.conditions
     if COLUMN not in flown:
         return None
@@ -88,13 +85,9 @@ def axial_steps(
     return tuple(steps)
 
 
-def _step(
-    t: FloatArray, C: FloatArray, angles: FloatArray, step_s: float, *, resolution: float = 1e-5
-) -> tuple[float, int, float]:
-    """F of a step at a time, its degrees of freedom (0 where the window is too short), and its relative size.
-
-    resolution : least residual of a coefficient, relative to it: digits of a file are not noise
-    """
+def _step(t: FloatArray, C: FloatArray, angles: FloatArray, step_s: float) -> tuple[float, int, float]:
+    """F of a step at a time, its degrees of freedom (0 where the window is too short), and its relative size."""
+    resolution = 1e-5  # least residual of a coefficient, relative to it: digits of a file are not noise
     half_window_s, blind_s, min_samples = WINDOW
     window = np.abs(t - step_s) <= half_window_s
     early, late = np.count_nonzero(window & (t < step_s - blind_s)), np.count_nonzero(window & (t > step_s + blind_s))

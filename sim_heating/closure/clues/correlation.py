@@ -221,14 +221,10 @@ def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> ResidualEv
     )
 
 
-def _shape_fits(
-    residual: ResidualHeating, variables: Mapping[str, FloatArray], *, max_amplitude: float = 3.0
-) -> tuple[list[ShapeFit], float]:
-    """The best shape of each variable, the largest gain first, and the trials that all shapes amount to.
-
-    max_amplitude : largest amplitude of a shape, over the residual's own: a larger one cancels against fitted
-        parameters
-    """
+def _shape_fits(residual: ResidualHeating, variables: Mapping[str, FloatArray]) -> tuple[list[ShapeFit], float]:
+    """The best shape of each variable, the largest gain first, and the trials that all shapes amount to."""
+    # largest amplitude of a shape, over the residual's own: a larger one cancels against fitted parameters
+    max_amplitude = 3.0
     profiled = profiled_information(residual)
     shapes, columns = candidate_shapes(residual.time_s, variables)
     largest = max_amplitude * float(np.max(np.abs(residual.delta_ratio)))
@@ -247,11 +243,9 @@ def ratio_at(prediction: Prediction, time_s: FloatArray) -> FloatArray | None:
     return np.interp(time_s, history.time_s[finite], history.ratio[finite]) if np.any(finite) else None
 
 
-def negative_s(residual: ResidualHeating, ratio: FloatArray, *, negative_sigmas: float = 2.0) -> float:
-    """For how long ratio and correction together are negative by more than `negative_sigmas` [s].
-
-    negative_sigmas : a ratio is negative where it is so by more than this many sigmas
-    """
+def negative_s(residual: ResidualHeating, ratio: FloatArray) -> float:
+    """For how long ratio and correction together are negative by more than `negative_sigmas` [s]."""
+    negative_sigmas = 2.0  # a ratio is negative where it is so by more than this many sigmas
     below = residual.fitted & (ratio + residual.delta_ratio < -negative_sigmas * residual.sigma)
     return float(np.sum(np.gradient(residual.time_s)[below]))
 
@@ -327,21 +321,12 @@ def _correlation_p_value(r: float, n: float) -> float:
     return float(2.0 * stdtr(n - 2.0, -r * math.sqrt((n - 2.0) / (1.0 - r * r))))
 
 
-def active_spans(
-    residual: ResidualHeating,
-    ratio: FloatArray | None = None,
-    *,
-    active_sigmas: float = 3.0,
-    gap_s: float = 15.0,
-    min_span_s: float = 5.0,
-    max_spans: int = 6,
-) -> list[ActiveSpan]:
-    """Spans in which the history exceeds `active_sigmas` of its sigma, the largest first.
-
-    active_sigmas : a residual heating is active where it exceeds this many of its sigmas
-    gap_s, min_span_s : active spans closer than the first are joined; spans shorter than the second are not reported
-        [s]
-    """
+def active_spans(residual: ResidualHeating, ratio: FloatArray | None = None) -> list[ActiveSpan]:
+    """Spans in which the history exceeds `active_sigmas` of its sigma, the largest first."""
+    active_sigmas = 3.0  # a residual heating is active where it exceeds this many of its sigmas
+    # active spans closer than the first are joined; spans shorter than the second are not reported [s]
+    gap_s, min_span_s = 15.0, 5.0
+    max_spans = 6
     t, d = residual.time_s, residual.delta_ratio
     beyond = residual.fitted & (np.abs(d) > active_sigmas * residual.sigma)
     spans: list[list[int]] = []

@@ -134,11 +134,9 @@ def contradictions_of_motion(stated: Conditions, changed: Conditions) -> list[Di
     return sorted(discrepancies, key=lambda d: -d.sigmas)
 
 
-def _evenly(conditions: Conditions, *, step_s: float = 1.0) -> Conditions:
-    """Conditions at even times, at the median interval of the samples but not below `step_s`.
-
-    step_s : least interval [s] of the samples that are judged
-    """
+def _evenly(conditions: Conditions) -> Conditions:
+    """Conditions at even times, at the median interval of the samples but not below `step_s`."""
+    step_s = 1.0  # least interval [s] of the samples that are judged
     t = conditions.time_s
     return conditions.at(np.arange(t[0], t[-1], max(float(np.median(np.diff(t))), step_s)))
 
@@ -150,10 +148,9 @@ def _scatter(relation: _Relation) -> FloatArray:
     return np.maximum(np.hypot(spread, relation.noise) * np.ones_like(relation.deviation), relation.least / SIGMAS)
 
 
-def _parts(
-    flown: Conditions, relation: _Relation | None, scatter: FloatArray | None = None, *, longest_noise_s: float = 4.0
-) -> list[Discrepancy]:
+def _parts(flown: Conditions, relation: _Relation | None, scatter: FloatArray | None = None) -> list[Discrepancy]:
     """Parts of a flight that deviate from a relation; scatter : (time,) of it, by default its own."""
+    longest_noise_s = 4.0
     if relation is None or np.count_nonzero(relation.judged) < FEWEST:
         return []
     t, judged = flown.time_s, relation.judged
@@ -189,11 +186,9 @@ def _discrepancy(flown: Conditions, relation: _Relation, sigmas: FloatArray, spa
 # The relations -------------------------------------------------------------------------------------------------------
 
 
-def _low(flown: Conditions, *, highest_m: float = 80e3) -> BoolArray:
-    """(time,) where air has one molar mass, and its density and pressure are known.
-
-    highest_m : altitude [m] above which the mean molar mass of air changes, and drag with rarefaction
-    """
+def _low(flown: Conditions) -> BoolArray:
+    """(time,) where air has one molar mass, and its density and pressure are known."""
+    highest_m = 80e3  # altitude [m] above which the mean molar mass of air changes, and drag with rarefaction
     positive = (flown["p_inf_Pa"] > 0.0) & (flown["rho_kg_m3"] > 0.0) & (flown["T_inf_K"] > 0.0)
     return np.asarray((flown["altitude_m"] < highest_m) & positive)
 
@@ -216,8 +211,9 @@ def _gas(flown: Conditions) -> _Relation:
     return _Relation("gas", "rho R T over the pressure is", deviation, judged, 0.01)
 
 
-def _hydrostatics(flown: Conditions, *, half_window_m: float = 1500.0) -> _Relation | None:
+def _hydrostatics(flown: Conditions) -> _Relation | None:
     """Logarithm of the pressure over spans of altitude, against the weight of the air in them."""
+    half_window_m = 1500.0
     judged = _low(flown)
     z_all = flown["altitude_m"]
     z, p, rho = z_all[judged], flown["p_inf_Pa"][judged], flown["rho_kg_m3"][judged]
@@ -279,8 +275,8 @@ def _path(flown: Conditions) -> _Relation | None:
     return _Relation("path", words, deviation, judged, 0.1, "deg", np.degrees(_slope_noise("altitude_m", flown) / V))
 
 
-def _drag(flown: Conditions, *, least_drag_m_s2: float = 0.5) -> _Relation:
-    """least_drag_m_s2 : drag below which nothing is reported [m/s2]."""
+def _drag(flown: Conditions) -> _Relation:
+    least_drag_m_s2 = 0.5  # drag below which nothing is reported [m/s2]
     V, z = np.maximum(flown["velocity_m_s"], 1.0), flown["altitude_m"]
     sinking = _smoothed(_gravity(z) * np.gradient(z, flown.time_s) / V, flown)
     drag = -_slope(V, flown) - sinking
@@ -292,8 +288,8 @@ def _drag(flown: Conditions, *, least_drag_m_s2: float = 0.5) -> _Relation:
     return _Relation("drag", words, deviation, judged, 0.05, noise=np.hypot(noise, model))
 
 
-def _axial(flown: Conditions, *, least_sensed_m_s2: float = 0.05) -> _Relation | None:
-    """least_sensed_m_s2 : axial acceleration below which nothing is reported [m/s2]."""
+def _axial(flown: Conditions) -> _Relation | None:
+    least_sensed_m_s2 = 0.05  # axial acceleration below which nothing is reported [m/s2]
     if "axial_accel_g" not in flown:
         return None
     q = 0.5 * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2
@@ -370,14 +366,7 @@ def _of_speed(flown: Conditions) -> FloatArray:
 
 
 def _from_smooth(
-    flown: Conditions,
-    force: FloatArray,
-    scale: FloatArray,
-    judged: BoolArray,
-    *,
-    smooth: bool = False,
-    huber_sigmas: float = 1.345,
-    rounds: int = 20,
+    flown: Conditions, force: FloatArray, scale: FloatArray, judged: BoolArray, *, smooth: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Relative deviation of a force from a smooth coefficient times its scale, and its standard deviation.
 
@@ -386,9 +375,9 @@ def _from_smooth(
     stay the same for some time.
     smooth  : whether the force is a mean over the window of derivatives, as its model then has to be
     returns : (time,) and (time,), 0 where the force is not judged
-    huber_sigmas : scatters beyond which Huber's weights fall; 95 % efficient for normal errors (Huber 1964)
-    rounds : iterations of a robust fit
     """
+    huber_sigmas = 1.345  # scatters beyond which Huber's weights fall; 95 % efficient for normal errors (Huber 1964)
+    rounds = 20  # iterations of a robust fit
     deviation, noise = np.zeros(len(flown)), np.zeros(len(flown))
     if np.count_nonzero(judged) < FEWEST:
         return deviation, noise

@@ -103,13 +103,10 @@ def _rate_term(
     return float(fit[-1] / np.sqrt(np.linalg.pinv(A.T @ A)[-1, -1] * scatter)), dof
 
 
-def manoeuvres(
-    time_s: FloatArray, v: FloatArray, *, window_s: float = 150.0, margin_s: float = 6.0, min_knots: int = 4
-) -> list[slice]:
-    """Knots of each excursion of a variable from its median and back.
-
-    min_knots : knots that a loop has at least
-    """
+def manoeuvres(time_s: FloatArray, v: FloatArray) -> list[slice]:
+    """Knots of each excursion of a variable from its median and back."""
+    window_s, margin_s = 150.0, 6.0
+    min_knots = 4  # knots that a loop has at least
     spacing = float(np.median(np.diff(time_s)))
     half = int(0.5 * window_s / spacing)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(v, half, mode="edge"), 2 * half + 1)

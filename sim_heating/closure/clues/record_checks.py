@@ -39,20 +39,12 @@ class DataFault:
     message: str
 
 
-def clock_fault(
-    record: Record,
-    *,
-    min_correlation: float = 0.9,
-    max_span_ratio: float = 8.0,
-    min_entry_speed_m_s: float = 1000.0,
-) -> DataFault | None:
-    """Clocks of measurements and conditions in different units; None where their spans agree or no unit fits.
-
-    min_correlation : correlation of measured and predicted temperatures that confirms another unit of a clock
-    max_span_ratio : spans of measurements and conditions that differ by more than this factor are on clocks of two
-        units
-    min_entry_speed_m_s : velocity below which a record is a ground test [m/s]
-    """
+def clock_fault(record: Record) -> DataFault | None:
+    """Clocks of measurements and conditions in different units; None where their spans agree or no unit fits."""
+    min_correlation = 0.9  # correlation of measured and predicted temperatures that confirms another unit of a clock
+    # spans of measurements and conditions that differ by more than this factor are on clocks of two units
+    max_span_ratio = 8.0
+    min_entry_speed_m_s = 1000.0  # velocity below which a record is a ground test [m/s]
     read_s, flown_s = float(np.ptp(record.time_s)), float(np.ptp(record.conditions.time_s))
     if read_s <= 0.0 or flown_s <= 0.0 or 1.0 / max_span_ratio < read_s / flown_s < max_span_ratio:
         return None
@@ -119,19 +111,11 @@ def start_fault(record: Record) -> DataFault | None:
     return DataFault(START, other.in_words) if other is not None and other.is_hot else None
 
 
-def magnitude_fault(
-    problem: FitProblem,
-    values: FloatArray,
-    *,
-    max_residual: float = 2.0,
-    plausible_scales: tuple[float, float] = (-0.4, 0.6),
-) -> DataFault | None:
-    """A heating level that no error of a table explains, of a fit that explains its record; else None.
-
-    max_residual : residual over the noise below which a record is explained
-    plausible_scales : limits of the relative error of a whole table; beyond them reference heating or trajectory is
-        wrong
-    """
+def magnitude_fault(problem: FitProblem, values: FloatArray) -> DataFault | None:
+    """A heating level that no error of a table explains, of a fit that explains its record; else None."""
+    max_residual = 2.0  # residual over the noise below which a record is explained
+    # limits of the relative error of a whole table; beyond them reference heating or trajectory is wrong
+    plausible_scales = (-0.4, 0.6)
     if rms_normalised_residual(problem.samples(values)) > max_residual:
         return None
     record = problem.record_fits[0].record

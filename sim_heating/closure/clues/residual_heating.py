@@ -162,19 +162,17 @@ class ResidualHeating:
 def residual_heating(
     problem: FitProblem,
     values: FloatArray,
-    number: int = 0,
     disturbance: Disturbance | None = None,
     omitted: Collection[str] = (),
 ) -> ResidualHeating:
     """The heating history that explains the residual of one record of a fit.
 
     problem, values : the fit; its samples are the readings, its values the model
-    number          : which of the fit's records
     disturbance     : noise model of the history; None for the likeliest one
     omitted         : names of sensors that are omitted
     raises          : RunError where the model cannot be marched
     """
-    record_fit = problem.record_fits[number]
+    record_fit = problem.record_fits[0]
     shift, channels = record_fit.shift_s(values), [c for c in record_fit.channels if c.sensor.name not in omitted]
     # At the times shifted by the clock and with the correction for the mesh: what these explain is not missing heating.
     samples, order = filter_samples(
@@ -204,16 +202,14 @@ def residual_heating(
     )
 
 
-def _with_reference_flux(
-    flown: Conditions, *, cold_wall_J_kg: float = 1e12, flux_W_m2: float = 1e4
-) -> tuple[Conditions, float | None]:
+def _with_reference_flux(flown: Conditions) -> tuple[Conditions, float | None]:
     """Conditions without reference heating, with one of the largest flux that they have; others as they are.
 
     returns : the conditions, and that flux [W/m2]; None where they have a reference heating
-    cold_wall_J_kg : recovery enthalpy of a reference heating that does not depend on the wall: that of a wall is
-        negligible [J/kg]
-    flux_W_m2 : unit of a missing flux where the record declares none [W/m2]
     """
+    # recovery enthalpy of a reference heating that does not depend on the wall: that of a wall is negligible [J/kg]
+    cold_wall_J_kg = 1e12
+    flux_W_m2 = 1e4  # unit of a missing flux where the record declares none [W/m2]
     if np.any(flown["h_ref_kg_m2_s"] != 0.0):
         return flown, None
     flux = float(np.max(np.abs(flown["q_add_W_m2"]))) if "q_add_W_m2" in flown else 0.0

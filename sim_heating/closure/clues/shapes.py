@@ -136,12 +136,12 @@ def _without_level(A: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray
     return A - np.outer(level, level) / power, b - level * float(b.sum()) / power
 
 
-def trials_factor(profiled: ProfiledInformation, columns: FloatArray, seed: int = 0, *, draw_count: int = 400) -> float:
+def trials_factor(profiled: ProfiledInformation, columns: FloatArray, seed: int = 0) -> float:
     """Number of independent trials that give the same largest z^2 from noise alone as all the shapes do.
 
     columns : (knot, shape) histories;  seed : of the simulated scores
-    draw_count : simulated scores behind the trials factor
     """
+    draw_count = 400  # simulated scores behind the trials factor
     values, vectors = np.linalg.eigh(profiled.information)
     # Shapes overlap, so that their number says little about chance: the largest score of simulated noise replaces it.
     draws = (vectors * np.sqrt(np.maximum(values, 0.0))) @ np.random.default_rng(seed).normal(
@@ -162,14 +162,12 @@ def p_value(z: float, trials: float) -> float:
     return sidak_p_value(single, trials)
 
 
-def candidate_shapes(
-    time_s: FloatArray, variables: Mapping[str, FloatArray], *, min_relative_range: float = 1e-6
-) -> tuple[list[Shape], FloatArray]:
+def candidate_shapes(time_s: FloatArray, variables: Mapping[str, FloatArray]) -> tuple[list[Shape], FloatArray]:
     """All shapes of the variables that are not constant.
 
     returns : shapes, and their histories (knot, shape), each of largest magnitude 1
-    min_relative_range : range over magnitude below which a variable counts as constant
     """
+    min_relative_range = 1e-6  # range over magnitude below which a variable counts as constant
     shapes: list[Shape] = []
     columns: list[FloatArray] = []
     for name, v in variables.items():
@@ -202,11 +200,9 @@ def _forms(name: str, v: FloatArray) -> list[tuple[str, float]]:
     return [*forms, ("magnitude", 0.0)] if np.min(v) < 0.0 < np.max(v) else forms
 
 
-def _values(time_s: FloatArray, v: FloatArray, form: str, threshold: float, *, sharpness: float = 0.02) -> FloatArray:
-    """(knot,) a form of a variable.
-
-    sharpness : width of a step over the range of its variable
-    """
+def _values(time_s: FloatArray, v: FloatArray, form: str, threshold: float) -> FloatArray:
+    """(knot,) a form of a variable."""
+    sharpness = 0.02  # width of a step over the range of its variable
     if form == "square":
         return (v - threshold) ** 2
     if form == "magnitude":

@@ -27,11 +27,9 @@ ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
 """Columns of angles, which a trajectory that is merged with them, and with the jets, may be earlier or later than."""
 
 
-def heated_part(flown: Conditions, *, heated_share: float = 0.15) -> BoolArray:
-    """(time,) whether laminar heating, rho^1/2 V^3, is a good part of its largest.
-
-    heated_share : part of the largest heating of a cold wall above which a flight counts as heated
-    """
+def heated_part(flown: Conditions) -> BoolArray:
+    """(time,) whether laminar heating, rho^1/2 V^3, is a good part of its largest."""
+    heated_share = 0.15  # part of the largest heating of a cold wall above which a flight counts as heated
     heating = np.sqrt(flown["rho_kg_m3"]) * flown["velocity_m_s"] ** 3
     return np.asarray(heating >= heated_share * heating.max())
 
@@ -74,7 +72,7 @@ def with_alpha(record: Record, bias_deg: float) -> Record:
     return _changed(record, {"alpha_deg": record.conditions["alpha_deg"] + bias_deg})
 
 
-def with_sharper_alpha(record: Record, width_s: float, *, sharpenings: int = 12, step_s: float = 0.5) -> Record:
+def with_sharper_alpha(record: Record, width_s: float) -> Record:
     """The record with the angle of attack whose mean over some seconds is the stated one.
 
     width_s : standard deviation of the weights of the mean, a Gaussian [s]
@@ -83,8 +81,8 @@ def with_sharper_alpha(record: Record, width_s: float, *, sharpenings: int = 12,
 
     by `sharpenings` iterations, which amplify noise that much at most, and give back what the mean leaves of an angle.
     Source: van Cittert, "Zum Einfluss der Spaltbreite auf die Intensitaetsverteilung in Spektrallinien II", 1931.
-    sharpenings, step_s : iterations that undo a mean, and the step of the times that it is taken at [s]
     """
+    sharpenings, step_s = 12, 0.5  # iterations that undo a mean, and the step of the times that it is taken at [s]
     flown = record.conditions
     if width_s <= 0.0:
         return record

@@ -73,13 +73,7 @@ def record_path(
 
 
 def marched_path(
-    record: Record,
-    segments: Sequence[Sequence[float]],
-    begin_s: float,
-    transition: EffectUse | None,
-    *,
-    memory_s: float = 60.0,
-    memories: float = 4.0,
+    record: Record, segments: Sequence[Sequence[float]], begin_s: float, transition: EffectUse | None
 ) -> FlownPath:
     """The samples on which the fitted temperatures of a record depend: those read, and the heating before them.
 
@@ -89,9 +83,10 @@ def marched_path(
     segments   : [start_s, end_s] of each
     begin_s    : time at which the march of the fit began [s]
     transition : the transition of the fit, None without one
-    memory_s, memories : time in which the temperature under a coating forgets its heating [s], about that of conduction
-        6 mm into a tile, and the number of such times that count
     """
+    # time in which the temperature under a coating forgets its heating [s], about that of conduction 6 mm into a tile,
+    # and the number of such times that count
+    memory_s, memories = 60.0, 4.0
     fitted = in_segments(record.time_s, segments) & ~record.holdout_mask() & record.read_mask
     read = record.time_s[fitted]
     flown = record.conditions.time_s
@@ -133,16 +128,14 @@ def turbulent_over_laminar(record: Record, x: FloatArray, declared: FloatArray) 
     return quotient
 
 
-def projection(
-    names: Sequence[str], path: FlownPath, reference: FloatArray, *, min_singular_value: float = 1e-6
-) -> FloatArray:
+def projection(names: Sequence[str], path: FlownPath, reference: FloatArray) -> FloatArray:
     """(parameter, sample) P, which makes the parameters of the linear model of a ratio along the path [-].
 
     names     : (parameter,) parameters of the linear model;  reference : (5,) condition that they are about
     raises    : InputError where the path cannot distinguish them
-    min_singular_value : singular value of the scaled basis below which two parameters cannot be distinguished along the
-        path
     """
+    # singular value of the scaled basis below which two parameters cannot be distinguished along the path
+    min_singular_value = 1e-6
     B = basis(names, path.x, reference, path.declared)
     root = np.sqrt(path.weight / np.sum(path.weight))
     scale = np.sqrt(np.sum((B * root[:, None]) ** 2, axis=0))

@@ -98,7 +98,7 @@ def flight_error(record: Record) -> SmoothFlightError | None:
     return error if error.directions or error.has_clock else None
 
 
-def clock_prior(record: Record, agreement_s: float, *, is_free: bool = False, clock_sigmas: float = 3.0) -> Parameter:
+def clock_prior(record: Record, agreement_s: float, *, is_free: bool = False) -> Parameter:
     """The clock of the readings against that of the conditions, with its prior in the declared model.
 
     agreement_s : by how much two recorders differ that agree [s]
@@ -108,9 +108,10 @@ def clock_prior(record: Record, agreement_s: float, *, is_free: bool = False, cl
     whose time is less well known may not be the one that was flown: its heating is then earlier or later than its
     angles say.
     is_free      : whether the clock of such a flight may be off besides, by more than those of recorders that agree
-    clock_sigmas : standard deviations by which the clock of a flight may be off, as far as the record allows; these may
-        be wider than stated
     """
+    # standard deviations by which the clock of a flight may be off, as far as the record allows; these may be wider
+    # than stated
+    clock_sigmas = 3.0
     error = flight_error(record)
     if error is None or not (error.has_one_clock or (is_free and error.has_clock)):
         return replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)

@@ -18,7 +18,7 @@ on its diagonal, that contributes most. Variances of combinations follow from co
 are assumed; so for these a share of every variance counts as independent of the others.
 
 A fit with flat priors has no error of the model in it: it takes that for an error of the table. Where the model has
-one, the estimates are those with both (`table_findings_with_prior`).
+one, the estimates are those with both: theta ~ N(0, T - C), with the covariance C that the readings leave.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ from sim_heating.base.files.text import listed
 from sim_heating.base.parameters import MODEL, Parameter
 from sim_heating.closure.prior.flown_path import FlownPath, projection, record_path
 from sim_heating.closure.verdict.policy import POLICY
-from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.inference.observability import variables_of
 from sim_heating.heating.ratio.table import SMALLEST_SIGMA, RatioTable
@@ -93,17 +92,15 @@ def undeclared_derivatives(record: Record, names: Sequence[str]) -> dict[str, st
     }
 
 
-def table_prior(
-    record: Record, names: Sequence[str], reference: Sequence[float], *, most_samples: int = 400
-) -> TablePrior | None:
+def table_prior(record: Record, names: Sequence[str], reference: Sequence[float]) -> TablePrior | None:
     """The prior of a record's table for parameters of the linear model; None where the record has no table.
 
     names     : estimated parameters, of which those of the linear model with a table count
     reference : (5,) condition that the derivatives are about: alpha, beta [deg], log10 Re, elevon, body flap [deg]
     raises    : InputError where the fitted samples cannot distinguish the parameters
-    most_samples : samples of the path that a prior is computed from, evenly chosen; errors of a table are smooth along
-        it
     """
+    # samples of the path that a prior is computed from, evenly chosen; errors of a table are smooth along it
+    most_samples = 400
     table = record.ratio_table
     named = tuple(n for n in names if n == "ratio.scale" or variables_of(n))
     if table is None or not named:
@@ -160,51 +157,26 @@ class TableFinding:
     p_value: float
 
 
-def table_findings(fit: FitResult, prior: TablePrior | None) -> list[TableFinding]:
+def table_findings(
+    fit: Fit, covariance: FloatArray, prior: TablePrior | None, *, has_prior: bool
+) -> list[TableFinding]:
     """What of a fit leaves the prior of the declared table by more than three sigmas, the farthest first.
 
-    fit   : of one record, with flat priors on the parameters of the linear model
-    prior : of its table for these parameters; None where the record has no table
+    fit       : of one record;  covariance : of all its parameters
+    prior     : of its table for parameters of the linear model; None where the record has no table
+    has_prior : whether the fit has that prior in it, as one of a model with an error of its own; else it has flat ones
     """
-    return _findings(fit.labels, fit.fit.values, fit.bounds.covariance, prior, 1.0)
-
-
-def table_findings_with_prior(fit: Fit, prior: TablePrior | None) -> list[TableFinding]:
-    """What of a fit that has the prior of the table in it leaves that prior by more than three sigmas, as above.
-
-    fit : of a model with an error of its own, which a fit with flat priors does not have
-
-    Where table and model are right, estimates with the prior are theta ~ N(0, T - C), with the covariance C that the
-    readings leave.
-    """
-    return _findings(fit.names, fit.values, fit.covariance, prior, -1.0)
-
-
-def _findings(
-    labels: Sequence[str],
-    values: FloatArray,
-    covariance: FloatArray,
-    prior: TablePrior | None,
-    sign: float,
-    *,
-    least: float = 1e-3,
-) -> list[TableFinding]:
-    """Estimates, or a combination of them, that are more than three sigmas off 0, the farthest first.
-
-    labels, values, covariance : of all parameters of a fit
-    sign  : of C in the covariance of the estimates about 0, S = T + C or T - C
-    least : part of the prior's variance that S has at least: with less, readings say nothing of a parameter
-    """
-    names = [n for n in (prior.names if prior else ()) if n in labels]
+    least = 1e-3  # part of the prior's variance that S has at least: with less, readings say nothing of a parameter
+    names = [n for n in (prior.names if prior else ()) if n in fit.names]
     if prior is None or not names:
         return []
-    of_fit, of_prior = [labels.index(n) for n in names], [prior.names.index(n) for n in names]
+    of_fit, of_prior = [fit.names.index(n) for n in names], [prior.names.index(n) for n in names]
     C, T = covariance[np.ix_(of_fit, of_fit)], prior.covariance[np.ix_(of_prior, of_prior)]
-    S = T + sign * C
+    S = T - C if has_prior else T + C
     # a parameter without a bound is not off anything
     is_told = np.isfinite(np.diag(S)) & (np.diag(S) > least * np.diag(T))
     names, chosen = [n for n, k in zip(names, is_told, strict=True) if k], np.ix_(is_told, is_told)
-    value, C, S = values[of_fit][is_told], C[chosen], S[chosen]
+    value, C, S = fit.values[of_fit][is_told], C[chosen], S[chosen]
     estimates = {n: (float(v), float(s)) for n, v, s in zip(names, value, np.sqrt(np.diag(C)), strict=True)}
     z = value / np.sqrt(np.diag(S))
     findings = [
@@ -215,22 +187,15 @@ def _findings(
     return sorted(findings, key=lambda f: -f.sigmas) or _combination(estimates, z, S)
 
 
-def _combination(
-    estimates: Mapping[str, tuple[float, float]],
-    z: FloatArray,
-    S: FloatArray,
-    *,
-    named_component: float = 0.3,
-    independent_share: float = 0.1,
-) -> list[TableFinding]:
+def _combination(estimates: Mapping[str, tuple[float, float]], z: FloatArray, S: FloatArray) -> list[TableFinding]:
     """The combination that is farthest off where no parameter alone is, and all together are; else nothing.
 
     z : (k,) estimates over their sigmas;  S : (k, k) covariance of table and bounds
-    named_component : component of a combination of unit length above which a parameter is named
-    independent_share : part of the variance of each estimate that is taken as independent of the others [-]. Errors of
-        a table about another reference condition than that of the fit, for one, leave a constant that no parameter
-        takes up
     """
+    named_component = 0.3  # component of a combination of unit length above which a parameter is named
+    # part of the variance of each estimate that is taken as independent of the others [-]. Errors of a table about
+    # another reference condition than that of the fit, for one, leave a constant that no parameter takes up
+    independent_share = 0.1
     sigma = np.sqrt(np.diag(S))
     eigenvalues, vectors = np.linalg.eigh(S / np.outer(sigma, sigma))
     off = (vectors.T @ z) / np.sqrt(np.maximum(eigenvalues, 0.0) + independent_share)

@@ -17,11 +17,9 @@ from sim_heating.estimation.report.plots import AFTER, BEFORE
 from sim_heating.simulation.report.charts import SHADES, record_spans, residual_limits, shown_span
 
 
-def residual_history(closure: Closure, *, intervals: int = 200) -> dict[str, Any]:
-    """Residuals of a record's used sensors before and after, decimated, as plain values for `batch_page`.
-
-    intervals : of time, of each of which the least, the median and the greatest residual are kept
-    """
+def residual_history(closure: Closure) -> dict[str, Any]:
+    """Residuals of a record's used sensors before and after, decimated, as plain values for `batch_page`."""
+    intervals = 200  # of time, of each of which the least, the median and the greatest residual are kept
     record = closure.record
     curves = []
     stages = [("before", closure.before, BEFORE)] + ([("after", closure.after, AFTER)] if closure.added else [])
@@ -58,13 +56,9 @@ def write_batch_page(
     write_page(path, lambda: batch_page(rows, residuals))
 
 
-def batch_page(
-    rows: Sequence[Mapping[str, Any]], residuals: Sequence[Mapping[str, Any] | None], *, most_charts: int = 12
-) -> Page:
-    """All records in a table, why some failed, and the residuals of those farthest above their noise floor.
-
-    most_charts : records whose residuals are drawn: those farthest above their noise floor
-    """
+def batch_page(rows: Sequence[Mapping[str, Any]], residuals: Sequence[Mapping[str, Any] | None]) -> Page:
+    """All records in a table, why some failed, and the residuals of those farthest above their noise floor."""
+    most_charts = 12  # records whose residuals are drawn: those farthest above their noise floor
     pages = [None if "failed" in row else f"{row['record']}/{PAGE}" for row in rows]
     failed = [f"{row['record']}: {row['failed']}" for row in rows if "failed" in row]
     faults = [line for row in rows for line in row.get("fault_messages", ())]

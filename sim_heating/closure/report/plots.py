@@ -127,22 +127,19 @@ def _limits(residual: ResidualHeating) -> tuple[float, float]:
     return low - 0.08 * (high - low), high + 0.08 * (high - low)
 
 
-def _well_determined(residual: ResidualHeating, *, max_sigma_ratio: float = 4.0) -> NDArray[np.bool_]:
-    """(knot,) fitted knots whose sigma is not far above the median.
-
-    max_sigma_ratio : points of a sigma above this many times the median are not drawn against variables
-    """
+def _well_determined(residual: ResidualHeating) -> NDArray[np.bool_]:
+    """(knot,) fitted knots whose sigma is not far above the median."""
+    max_sigma_ratio = 4.0  # points of a sigma above this many times the median are not drawn against variables
     fitted = residual.fitted
     return np.asarray(fitted & (residual.sigma <= max_sigma_ratio * np.median(residual.sigma[fitted])))
 
 
-def variables_figure(
-    residual: ResidualHeating, variables: Mapping[str, FloatArray], order: Sequence[str], *, max_panels: int = 6
-) -> Figure:
+def variables_figure(residual: ResidualHeating, variables: Mapping[str, FloatArray], order: Sequence[str]) -> Figure:
     """The residual heating against each variable, coloured by time.
 
     variables : (knot,) by name;  order : names, those that explain most first
     """
+    max_panels = 6
     shown = _well_determined(residual)
     names = [n for n in order if n in variables and n != TIME and np.ptp(variables[n][shown]) > 0.0][:max_panels]
     columns = min(max(len(names), 1), 3)
@@ -168,9 +165,10 @@ def variables_figure(
 
 
 def hysteresis_figure(
-    residual: ResidualHeating, variables: Mapping[str, FloatArray], evidence: ResidualEvidence, *, max_loops: int = 3
+    residual: ResidualHeating, variables: Mapping[str, FloatArray], evidence: ResidualEvidence
 ) -> Figure | None:
     """The manoeuvres with the widest loops of the residual, at most `max_loops`; None where none is significant."""
+    max_loops = 3
     widest = sorted((loop for loop in evidence.loops if loop.significant), key=lambda loop: -abs(loop.filled))[
         :max_loops
     ]

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.base.errors import or_left_out
-from sim_heating.base.files import write_json
+from sim_heating.base.files import finite_or_none, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
@@ -29,7 +29,7 @@ from sim_heating.closure.clues.residual_heating import write_residual_heating
 from sim_heating.closure.curves import NAME as CURVE_NAME
 from sim_heating.closure.curves import curve_words, write_curve
 from sim_heating.closure.report import plots
-from sim_heating.closure.result import NAME, NONE, PAGE, PARTLY, UNKNOWN, Closure, ParameterEstimate, Statement, finite
+from sim_heating.closure.result import NAME, NONE, PAGE, PARTLY, UNKNOWN, Closure, ParameterEstimate, Statement
 from sim_heating.closure.verdict.adequacy import p_value_text
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
@@ -48,7 +48,7 @@ def closure_json(closure: Closure) -> dict[str, Any]:
         "predicted": None if closure.predicted is None else closure.predicted.segment_errors(),
         "before": closure.before.segment_errors(),
         "after": closure.after.segment_errors(),
-        "noise_floor_K": finite(closure.noise_floor_K),
+        "noise_floor_K": finite_or_none(closure.noise_floor_K),
         "reference_condition": closure.reference_condition,
         "effect": effects[0],
         "effects": named,
@@ -94,7 +94,7 @@ def closure_page(closure: Closure) -> Page:
     warnings = [*(f.message for f in closure.faults), *further_warnings(closure.warnings, closure.remarks)]
     sections = sections_of(
         {
-            "Not an aerothermal effect": lambda: _not_effects_section(closure),
+            "Not an aerothermal effect": lambda: not_effects_section(closure.statement),
             "What would tell them apart": lambda: tell_apart_section(closure.statement),
             "Errors": lambda: _errors_section(closure),
             "Does it explain the record?": lambda: _adequacy_section(closure),
@@ -176,12 +176,10 @@ def _change(samples: str, first: Mapping[str, float] | None, last: Mapping[str, 
     return f"RMSE over {samples} data: {first['rmse_K']:.2f} K before, {last['rmse_K']:.2f} K after. "
 
 
-def _not_effects_section(closure: Closure) -> list[Section]:
+def not_effects_section(statement: Statement) -> list[Section]:
     """Causes that are no aerothermal effect, in words."""
-    causes = closure.statement.not_effects
-    if not causes:
-        return []
-    return [Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])]
+    causes = [f"{c.kind}: {c.what}" for c in statement.not_effects]
+    return [Section("Not an aerothermal effect", points=causes)] if causes else []
 
 
 def tell_apart_section(statement: Statement) -> list[Section]:

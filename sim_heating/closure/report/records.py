@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sim_heating.base.files import write_csv, write_json
+from sim_heating.base.files import finite_or_none, write_csv, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.files.text import listed
 from sim_heating.base.parameters import AT
@@ -25,8 +25,8 @@ from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.report.record import p_value_cell, tell_apart_section
-from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone, finite
+from sim_heating.closure.report.record import not_effects_section, p_value_cell, tell_apart_section
+from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone
 from sim_heating.closure.search.evidence import Evidence
 from sim_heating.closure.search.joint_model import RECORD
 from sim_heating.closure.search.trials.told_error import flight_as_json
@@ -57,7 +57,7 @@ def joint_closure_json(joint: JointClosure) -> dict[str, Any]:
         "predicted": _pooled_predictions(joint),
         "before": joint.pooled([c.before for c in joint.closures]),
         "after": joint.pooled(joint.after),
-        "noise_floor_K": finite(floor),
+        "noise_floor_K": finite_or_none(floor),
         "reference_condition": first.reference_condition,
         "effect": effects[0],
         "effects": effects if joint.search.explained and best.kind == "effect" else [],
@@ -93,11 +93,11 @@ def _record_json(closure: Closure, e: Evidence, prediction: Prediction) -> dict[
         "delta_score_rival": None if e.over_rival is None else e.over_rival - e.for_cause,
         "agreement_p": e.agreement,
         "data_faults": [{"kind": f.kind, "message": f.message} for f in closure.faults],
-        "own_values": {n: {"value": v, "sigma": finite(s)} for n, (v, s) in e.own.items()},
+        "own_values": {n: {"value": v, "sigma": finite_or_none(s)} for n, (v, s) in e.own.items()},
         "reference_condition": closure.reference_condition,
         "before": closure.before.segment_errors(),
         "after": prediction.segment_errors(),
-        "noise_floor_K": finite(closure.noise_floor_K),
+        "noise_floor_K": finite_or_none(closure.noise_floor_K),
     }
 
 
@@ -116,11 +116,9 @@ def joint_page(joint: JointClosure) -> Page:
     points = dict.fromkeys(c.record.declared.control_point for c in joint.closures)
     plural = "s" if len(points) > 1 else ""
     subtitle = f"Records {listed(joint.names)}, control point{plural} {listed(list(points))}"
-    causes = joint.statement.not_effects
-    not_effects = Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])
     sections = sections_of(
         {
-            "Not an aerothermal effect": lambda: not_effects if causes else [],
+            "Not an aerothermal effect": lambda: not_effects_section(joint.statement),
             "What each record adds": lambda: _evidence_section(joint),
             "Residuals side by side": lambda: _residuals_section(joint),
             "What would tell them apart": lambda: tell_apart_section(joint.statement),

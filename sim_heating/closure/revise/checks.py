@@ -47,8 +47,9 @@ def _check_whole(estimate: Estimate, name: str) -> None:
         )
 
 
-def _check_value(estimate: Estimate, label: str, name: str, *, max_value: float = 1e3) -> None:
+def _check_value(estimate: Estimate, label: str, name: str) -> None:
     """A plausible value with a plausible sigma."""
+    max_value = 1e3
     value, sigma = estimate.parameters[label].value, estimate.parameters[label].sigma
     where = f"{name}, [parameters.{label}]"
     if abs(value) > max_value:
@@ -62,12 +63,10 @@ def _check_value(estimate: Estimate, label: str, name: str, *, max_value: float 
         raise InputError(f"{where}: `sigma`: {sigma:g} is not within {span}; estimate it again")
 
 
-def _check_correlation(estimate: Estimate, labels: list[str], name: str, *, min_eigenvalue: float = 1e-12) -> None:
-    """All correlations within each control point, and a positive definite matrix of them.
-
-    min_eigenvalue : least eigenvalue [-] of the correlation of ratio parameters: below it a combination of them is
-        known exactly
-    """
+def _check_correlation(estimate: Estimate, labels: list[str], name: str) -> None:
+    """All correlations within each control point, and a positive definite matrix of them."""
+    # least eigenvalue [-] of the correlation of ratio parameters: below it a combination of them is known exactly
+    min_eigenvalue = 1e-12
     pairs = [
         (f"{a}{PAIR}{b}", f"{b}{PAIR}{a}")
         for a, b in combinations(labels, 2)
@@ -86,11 +85,9 @@ def _check_correlation(estimate: Estimate, labels: list[str], name: str, *, min_
         )
 
 
-def _check_reference(estimate: Estimate, labels: list[str], name: str, *, rounding: float = 1e-6) -> None:
-    """A reference condition that was flown, in the variables that an estimated derivative multiplies.
-
-    rounding : by how much a reference condition may lie outside what was flown [deg, -]: the rounding of a mean
-    """
+def _check_reference(estimate: Estimate, labels: list[str], name: str) -> None:
+    """A reference condition that was flown, in the variables that an estimated derivative multiplies."""
+    rounding = 1e-6  # by how much a reference condition may lie outside what was flown [deg, -]: the rounding of a mean
     terms = {term for label in labels for term in label.partition(AT)[0].rstrip("2").split("_")[1:]}
     for short, variable in zip(SHORT_NAMES, RATIO_VARIABLES, strict=True):
         flown, about = estimate.excursions.get(variable), getattr(estimate.reference_condition, variable)

@@ -29,7 +29,7 @@ from sim_heating.base.files import check, display_path, raw_text
 from sim_heating.base.parameters import EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX
 from sim_heating.closure.revise.evidence import FlightEvidence, FlownPath, is_effect
 from sim_heating.estimation.report.estimate_file import Estimate
-from sim_heating.heating.effects import EffectUse, check_count, effect, use
+from sim_heating.heating.effects import EffectUse, check_count, combined_uses, effect, use
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.uncertainty import Posterior, node_weights
 from sim_heating.inputs.vehicle import ControlPoint
@@ -64,13 +64,8 @@ class FittedEffects:
 
     def changes(self) -> list[dict[str, Any]]:
         """Each written effect: name, its values, and the declared ones before, None where it was not declared."""
-        before, after = ({u.effect.name: parameter_values(u) for u in uses} for uses in (self.before, self.after))
+        before, after = ({u.effect.name: u.by_name for u in uses} for uses in (self.before, self.after))
         return [{"name": n, "parameters": after[n], "before": before.get(n)} for n in self.written]
-
-
-def parameter_values(used: EffectUse) -> dict[str, float]:
-    """All parameters of an effect by name."""
-    return {p.name: v for p, v in zip(used.effect.parameters, used.values, strict=True)}
 
 
 def effects_from_fit(
@@ -82,8 +77,6 @@ def effects_from_fit(
     point: ControlPoint,
     flown: str,
     file: str,
-    *,
-    digits: int = 6,
 ) -> FittedEffects:
     """The effects of one control point by an estimate, but for those that its ratio table takes.
 
@@ -92,8 +85,8 @@ def effects_from_fit(
     path            : the control point's file
     flown, file     : records and times, and the revision's own file, for the `source` of an effect
     raises          : InputError where an effect is unknown, a value outside its bounds, or the file cannot be edited
-    digits : significant digits of a written value, far below any sigma
     """
+    digits = 6  # significant digits of a written value, far below any sigma
     in_table = {u.effect.name for u in flight.in_table}
     every = _values_given_table(estimate, flight, table, turbulent)
     given_table = {n: v for n, v in every.items() if n.removeprefix(EFFECT_PREFIX).rpartition(".")[0] not in in_table}
@@ -114,9 +107,9 @@ def effects_from_fit(
             )
         else:
             # Rounded before it is used, so that the errors reported for the revision are those of the file as written.
-            values = parameter_values(used) if stays is None else _on_revised_table(used, *stays)
+            values = used.by_name if stays is None else _on_revised_table(used, *stays)
             fitted.append(use(name, {n: float(f"{v:.{digits}g}") for n, v in values.items()}))
-    after = _merged(point.effects, fitted)
+    after = combined_uses(point.effects, fitted)
     check_count(after, point.name)
     raw = raw_text(path)
     declared = [_declaration(u, estimate, tuple(estimated[u.effect.name]), flown, file) for u in fitted]
@@ -139,7 +132,7 @@ def _on_revised_table(used: EffectUse, path: FlownPath, point: ControlPoint, tab
     The factor of a transition by table is on turbulent over laminar, and in the fit on both with the fitted laminar
     ratio. Where the turbulent table cannot be revised, the factor takes the change of the laminar one.
     """
-    values = parameter_values(used)
+    values = used.by_name
     change = _laminar_change(used, path, point, table)
     if change == 1.0:
         return values
@@ -153,20 +146,17 @@ def _laminar_change(used: EffectUse, path: FlownPath, point: ControlPoint, table
     sum(w Gamma r_table / r_declared) / sum(w Gamma),    w the square of the heat flux
     """
     weight = path.weight * path.turbulent * (path.declared > 0.0)
-    if used.effect.name != TRANSITION or parameter_values(used)["by_table"] == 0.0 or not np.any(weight > 0.0):
+    if used.effect.name != TRANSITION or used.by_name["by_table"] == 0.0 or not np.any(weight > 0.0):
         return 1.0
     updated = node_weights(table.prior.axes, path.x) @ table.ratio.ravel()
     return float(np.average(updated / np.where(weight > 0.0, path.declared, 1.0), weights=weight))
 
 
-def _turbulent_left(
-    used: EffectUse, path: FlownPath, point: ControlPoint, table: Posterior, *, noticed: float = 0.005
-) -> str:
+def _turbulent_left(used: EffectUse, path: FlownPath, point: ControlPoint, table: Posterior) -> str:
     """What the turbulent table lacks where the fit changed laminar and turbulent heating together, as the end of a
     line.
-
-    noticed : change of the turbulent heating [-] from which a line says that it is not in the vehicle
     """
+    noticed = 0.005  # change of the turbulent heating [-] from which a line says that it is not in the vehicle
     change = _laminar_change(used, path, point, table) - 1.0
     if abs(change) < noticed:
         return ""
@@ -217,18 +207,12 @@ def _parameters_by_effect(values: Mapping[str, float]) -> dict[str, dict[str, fl
     return by_effect
 
 
-def _merged(declared: Sequence[EffectUse], fitted: Sequence[EffectUse]) -> tuple[EffectUse, ...]:
-    """The declared effects with the fitted ones in their places, new ones last."""
-    new = {u.effect.name: u for u in fitted}
-    return (*(new.pop(u.effect.name, u) for u in declared), *new.values())
-
-
 def _declaration(
     used: EffectUse, estimate: Estimate, estimated: Sequence[str], flown: str, file: str
 ) -> dict[str, Any]:
     """An effect as a control point's file declares it: the estimated values, and those that are not nominal."""
     nominal = {p.name: p.value for p in used.effect.parameters}
-    parameters = {n: v for n, v in parameter_values(used).items() if n in estimated or v != nominal[n]}
+    parameters = {n: v for n, v in used.by_name.items() if n in estimated or v != nominal[n]}
     name = used.effect.name
     sigma = ", ".join(f"{n} +- {estimate.parameters[f'{EFFECT_PREFIX}{name}.{n}'].sigma:.2g}" for n in estimated)
     return {"name": name, "parameters": parameters, "source": f"flight {flown}; {sigma}; {file}"}

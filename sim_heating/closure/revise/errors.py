@@ -79,11 +79,9 @@ def held_fits(update: TableUpdate) -> dict[str, HeldFit]:
     return {record.name: _held_fit(update, record, start) for record, start in zip(update.records, starts, strict=True)}
 
 
-def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None, *, least_loss: float = 0.2) -> HeldFit:
-    """The fit of a record with a new table held.
-
-    least_loss : part of the error with the new table [-] from which on a cause of it is named
-    """
+def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None) -> HeldFit:
+    """The fit of a record with a new table held."""
+    least_loss = 0.2  # part of the error with the new table [-] from which on a cause of it is named
     mask, values = record.fit_mask(), _values(update, record)
     parameters = {n: v for n, v in values.items() if not n.startswith(NOT_MARCHED)}
     effects = [u for e in update.estimate.effects if (u := fitted_use(update.estimate, e.name)) is not None]

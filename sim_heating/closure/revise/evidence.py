@@ -53,8 +53,7 @@ class FlightEvidence:
     """An estimate as evidence on a control point's tables.
 
     evidence    : on the nodes of the laminar table, one row a parameter of the linear model
-    rows        : (k, node) the parameters as linear combinations of the nodes, less `at_zero`
-    at_zero     : (k,) their values for a ratio of 0
+    at_zero     : (k,) what is taken off H n to have the parameters by a table with the nodes n
     P           : (k, sample) projection of a ratio along the path on the parameters
     path        : the samples behind it, those inside the table
     outside     : number of samples outside the table
@@ -66,7 +65,6 @@ class FlightEvidence:
     """
 
     evidence: Evidence
-    rows: FloatArray
     at_zero: FloatArray
     P: FloatArray
     path: FlownPath
@@ -75,11 +73,6 @@ class FlightEvidence:
     turbulent: FlownRatio | None
     in_table: tuple[EffectUse, ...]
     not_written: dict[str, str]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The parameters of the linear model."""
-        return self.evidence.names
 
     def parameters_of(
         self, laminar: Posterior, turbulent: Posterior | None, *, with_effects: bool
@@ -106,8 +99,8 @@ class FlightEvidence:
     def form_covariance(self) -> FloatArray:
         """(k, k) covariance of the parameters as tables with the form of the fit have them."""
         flown = self.laminar or self.turbulent
-        k = len(self.names)
-        return np.zeros((k, k)) if flown is None else flown.form_covariance(self.names)
+        k = len(self.evidence.names)
+        return np.zeros((k, k)) if flown is None else flown.form_covariance(self.evidence.names)
 
 
 def is_effect(label: str) -> bool:
@@ -170,7 +163,7 @@ def flight_evidence(
     not_written = dict.fromkeys(set(names) - set(written), "the table has too few nodes for it")
     not_written |= dict.fromkeys((n for n in others if not is_effect(n)), "is neither of the ratio table nor an effect")
     return FlightEvidence(
-        evidence, rows, at_zero, P, path, outside, flown[0], flown[1], in_table, dict(sorted(not_written.items()))
+        evidence, at_zero, P, path, outside, flown[0], flown[1], in_table, dict(sorted(not_written.items()))
     )
 
 
@@ -206,11 +199,9 @@ def _representable(names: Sequence[str], point: ControlPoint) -> tuple[str, ...]
     return tuple(n for n in names if possible[n])
 
 
-def _evenly(count: int, *, most_samples: int = 240) -> BoolArray:
-    """(count,) mask of at most `most_samples` samples.
-
-    most_samples : samples of the path that are kept as evidence, evenly chosen
-    """
+def _evenly(count: int) -> BoolArray:
+    """(count,) mask of at most `most_samples` samples."""
+    most_samples = 240  # samples of the path that are kept as evidence, evenly chosen
     chosen = np.zeros(count, dtype=bool)
     chosen[:: -(-count // most_samples)] = True
     return chosen
@@ -218,10 +209,7 @@ def _evenly(count: int, *, most_samples: int = 240) -> BoolArray:
 
 def _by_table(transition: EffectUse | None) -> bool:
     """Whether a transition takes its turbulent ratio from a table."""
-    if transition is None:
-        return False
-    names = [p.name for p in transition.effect.parameters]
-    return transition.values[names.index("by_table")] > 0.0
+    return transition is not None and transition.by_name["by_table"] > 0.0
 
 
 def _in_table(estimate: Estimate, point: ControlPoint, path: FlownPath) -> tuple[EffectUse, ...]:
@@ -301,21 +289,14 @@ def _marched(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
 
 
 def _flown(
-    fit: _FittedRatio,
-    path: FlownPath,
-    table: RatioTable,
-    by_table: bool,
-    *,
-    is_turbulent: bool,
-    least_part: float = 0.002,
-    least_weight: float = 1e-5,
+    fit: _FittedRatio, path: FlownPath, table: RatioTable, by_table: bool, *, is_turbulent: bool
 ) -> FlownRatio | None:
     """The ratio of a fit where the flow was laminar, or turbulent; None where it was so for too short a time.
 
     table    : before any revision;  by_table : whether a turbulent table takes what was turbulent
-    least_part : laminar, or turbulent, part of the heating of a sample that informs the table of it [-]
-    least_weight : weight of all samples together, of 1, below which a table is not informed
     """
+    least_part = 0.002  # laminar, or turbulent, part of the heating of a sample that informs the table of it [-]
+    least_weight = 1e-5  # weight of all samples together, of 1, below which a table is not informed
     # (dT/dr)^2 of a wall near radiation equilibrium at equal ratio; path.weight is the square of the heat flux.
     weight = path.weight**0.25
     weight = weight / np.sum(weight)
@@ -358,11 +339,9 @@ def fitted_use(estimate: Estimate, name: str) -> EffectUse | None:
     return use(name, in_force.get(name, {}) | estimated) if name in in_force or estimated else None
 
 
-def _inside(path: FlownPath, point: ControlPoint, *, outside_share: float = 0.1) -> tuple[FlownPath, int]:
-    """The samples inside the table's axes (an axis of one value has no outside), and how many lie outside.
-
-    outside_share : share of the fitted samples outside a table's axes above which it is not updated
-    """
+def _inside(path: FlownPath, point: ControlPoint) -> tuple[FlownPath, int]:
+    """The samples inside the table's axes (an axis of one value has no outside), and how many lie outside."""
+    outside_share = 0.1  # share of the fitted samples outside a table's axes above which it is not updated
     out = np.zeros(len(path.x), dtype=bool)
     for name, axis, x in zip(RATIO_VARIABLES, point.ratio.axes, path.x.T, strict=True):
         beyond = (len(axis) > 1) & ((x < axis[0]) | (x > axis[-1]))

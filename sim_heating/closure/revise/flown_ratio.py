@@ -120,12 +120,12 @@ class FlownRatio:
         return nodes, root[:, None] * W[:, nodes].toarray(), root * self.ratio, root[:, None] * (self.basis @ half)
 
 
-def shape_sigma(table: RatioTable, x: FloatArray, weight: FloatArray, *, shape_error: float = 0.003) -> float:
+def shape_sigma(table: RatioTable, x: FloatArray, weight: FloatArray) -> float:
     """tau [-] of a table along a path: `shape_error` times the root mean square of its sigma.
 
     x : (m, 5) conditions, [deg] and [-];  weight : (m,) w [-]
-    shape_error : tau over the sigma of the table along the path [-]
     """
+    shape_error = 0.003  # tau over the sigma of the table along the path [-]
     assert table.sigma is not None  # checked by the caller
     sigma = node_weights(table.axes, x) @ table.sigma.ravel()
     return shape_error * float(np.sqrt(np.average(sigma**2, weights=weight)))
@@ -135,21 +135,13 @@ LEAST_EXCURSION = {"alpha_deg": 1.0, "beta_deg": 0.5, "log10_re": 0.05, "elevon_
 """Excursion [deg], or [-] for log10_re, below which a variable takes no node."""
 
 
-def axes_for(
-    flown: FlownRatio,
-    axes: Sequence[FloatArray],
-    *,
-    max_misfit: float = 4e-3,
-    most_added: int = 6,
-    least_gain: float = 0.1,
-) -> tuple[FloatArray, ...]:
-    """The axes with the nodes that the form of a fit needs, [deg] and [-]; unchanged where it needs none.
-
-    max_misfit : part of the ratio that the nodes may leave where they fit worst [-]: a quarter of it in temperature, 1
-        K at 1000 K, about the noise of a thermocouple
-    most_added : nodes that one revision adds to a table at most
-    least_gain : part by which a further node must reduce the misfit
-    """
+def axes_for(flown: FlownRatio, axes: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+    """The axes with the nodes that the form of a fit needs, [deg] and [-]; unchanged where it needs none."""
+    # part of the ratio that the nodes may leave where they fit worst [-]: a quarter of it in temperature, 1 K at 1000
+    # K, about the noise of a thermocouple
+    max_misfit = 4e-3
+    most_added = 6  # nodes that one revision adds to a table at most
+    least_gain = 0.1  # part by which a further node must reduce the misfit
     enlarged = tuple(axes)
     misfit = flown.misfit(enlarged)
     for _ in range(most_added):
@@ -162,14 +154,10 @@ def axes_for(
     return enlarged
 
 
-def _with_best_node(
-    flown: FlownRatio, axes: tuple[FloatArray, ...], *, most_nodes: int = 20000, values_tried: int = 17
-) -> tuple[tuple[FloatArray, ...], float] | None:
-    """Axes with one more node, the one that leaves the least misfit, and this misfit; None where there is none.
-
-    most_nodes : nodes of a table that is not enlarged
-    values_tried : places that are tried in each variable
-    """
+def _with_best_node(flown: FlownRatio, axes: tuple[FloatArray, ...]) -> tuple[tuple[FloatArray, ...], float] | None:
+    """Axes with one more node, the one that leaves the least misfit, and this misfit; None where there is none."""
+    most_nodes = 20000  # nodes of a table that is not enlarged
+    values_tried = 17  # places that are tried in each variable
     tried = []
     for i, name in enumerate(RATIO_VARIABLES):
         low, high = float(flown.x[:, i].min()), float(flown.x[:, i].max())

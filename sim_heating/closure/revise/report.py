@@ -141,11 +141,9 @@ def update_report(updated: UpdatedTables) -> Iterator[Table | str]:
     yield from _cautions(update)
 
 
-def _difference_table(update: TableUpdate, changed: TableChange, table_name: str, *, max_rows: int = 16) -> Table:
-    """The nodes that change most, by their sigma before.
-
-    max_rows : nodes that are shown; the revision's file contains all
-    """
+def _difference_table(update: TableUpdate, changed: TableChange, table_name: str) -> Table:
+    """The nodes that change most, by their sigma before."""
+    max_rows = 16  # nodes that are shown; the revision's file contains all
     nodes = {name: np.array(values) for name, values in changed.changed_nodes().items()}
     change = np.abs(nodes["ratio_after"] - nodes["ratio_before"]) / np.maximum(nodes["sigma_before"], 1e-300)
     shown = np.sort(np.argsort(-change, kind="stable")[:max_rows])
@@ -180,11 +178,9 @@ def _parameters_table(update: TableUpdate) -> Table:
     return Table("Each parameter: as estimated, and by the table", columns, rows)
 
 
-def _with_sigma(value: float, sigma: float, *, rounding: float = 1e-6) -> str:
-    """A value with its bound; a value that is only rounding is shown as 0.
-
-    rounding : part of its sigma below which a value is only rounding
-    """
+def _with_sigma(value: float, sigma: float) -> str:
+    """A value with its bound; a value that is only rounding is shown as 0."""
+    rounding = 1e-6  # part of its sigma below which a value is only rounding
     return f"{value if abs(value) > rounding * sigma else 0.0:.4g} +- {sigma:.2g}"
 
 
@@ -243,11 +239,9 @@ def _not_held(fits: Mapping[str, HeldFit]) -> Iterator[str]:
             yield f"{name}: not in the tables: {cause}, {loss:.2f} K"
 
 
-def _cautions(update: TableUpdate, *, reported_shift: float = 1.0) -> Iterator[str]:
-    """Lines that a person should read before trusting the revision.
-
-    reported_shift : shift of an effect's parameter from the fit, in its sigma, above which it is reported
-    """
+def _cautions(update: TableUpdate) -> Iterator[str]:
+    """Lines that a person should read before trusting the revision."""
+    reported_shift = 1.0  # shift of an effect's parameter from the fit, in its sigma, above which it is reported
     for name, reason in update.not_written.items():
         if not name.startswith(OF_START):  # temperatures at the start are the flight's own
             yield f"{name}: not written, {reason}"

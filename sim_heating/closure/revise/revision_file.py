@@ -155,9 +155,9 @@ class HeldFit(Declared):
         return holds(self.after_K, self.fit_K)
 
 
-def holds(after_K: float, fit_K: float, *, most: float = 1.15) -> bool:
-    """Whether new tables hold a fit, by their errors [K]; most : of the first over the second [-]."""
-    return after_K <= most * fit_K
+def holds(after_K: float, fit_K: float) -> bool:
+    """Whether new tables hold a fit, by their errors [K]."""
+    return after_K <= 1.15 * fit_K
 
 
 class RevisedTurbulent(Declared):

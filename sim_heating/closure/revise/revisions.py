@@ -29,12 +29,12 @@ from sim_heating.base.errors import InputError, tell
 from sim_heating.base.files import (
     DIGEST,
     check,
-    csv_columns,
     digest_matches,
     display_path,
     exclusive,
     json_text,
     raw_text,
+    read_csv_columns,
     read_json,
     read_toml,
     replace_files,
@@ -253,23 +253,16 @@ def _with_measurements(
 
 
 def _makes(
-    base: RatioTable,
-    measured: Sequence[FlownRatio],
-    reach: Mapping[str, float],
-    parent: RatioTable,
-    table: RatioTable,
-    *,
-    ratio_tolerance: float = 1e-5,
-    sigma_tolerance: float = 2e-3,
-    rounding: float = 1e-6,
+    base: RatioTable, measured: Sequence[FlownRatio], reach: Mapping[str, float], parent: RatioTable, table: RatioTable
 ) -> bool:
     """Whether evidence makes a table, to rounding.
 
     base : the table before any of it;  parent : the table before the last of it
-    ratio_tolerance, sigma_tolerance : relative differences of ratio and sigma by which a table may be away from what
-        its evidence makes it: it is rounded to 6 and 4 digits
-    rounding : difference that counts as rounding, relative to the largest value of a table
     """
+    # relative differences of ratio and sigma by which a table may be away from what its evidence makes it: it is
+    # rounded to 6 and 4 digits
+    ratio_tolerance, sigma_tolerance = 1e-5, 2e-3
+    rounding = 1e-6  # difference that counts as rounding, relative to the largest value of a table
     if any(not np.all(np.isin(a, b)) for a, b in zip(parent.axes, table.axes, strict=True)) or table.sigma is None:
         return False
     remade = posterior(on_axes(base, table.axes), [m.on(table.axes) for m in measured], reach)
@@ -423,7 +416,7 @@ def revert(directory: Path, point: str) -> tuple[int, int]:
         declared = _declared_points(directory, point)
         path = directory / _own_table(declared, point)
         raw = raw_text(path)
-        number = _revision_number(path, csv_columns(path, raw, ("ratio",)).header)
+        number = _revision_number(path, read_csv_columns(path, ("ratio",), content=raw).header)
         file = revision_path(directory, point, number, "json")
         _refuse_half_restored(directory, point, number)
         if not file.is_file():

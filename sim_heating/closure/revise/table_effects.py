@@ -22,12 +22,13 @@ PLACES = (flight.alpha_deg, flight.beta_deg, flight.log10_re, flight.elevon_deg,
 """Where the variables of a table are among the conditions."""
 
 
-def is_of_table(used: EffectUse, x: FloatArray, *, others: tuple[float, float] = (1.0, 3.0)) -> bool:
+def is_of_table(used: EffectUse, x: FloatArray) -> bool:
     """Whether an effect adds a function of the variables of a ratio table.
 
     x      : (m, 5) conditions that were flown, [deg] and [-]
-    others : values of all other conditions, and of the wall temperature in 1000 K, between which it does not change
     """
+    # values of all other conditions, and of the wall temperature in 1000 K, between which it does not change
+    others = (1.0, 3.0)
     effect = used.effect
     if effect.mode == "model":
         return all(isinstance(p, ModelParameter) and p.stands_for.startswith("ratio.") for p in effect.parameters)
@@ -48,14 +49,12 @@ def added_ratio(used: EffectUse, x: FloatArray, reference: FloatArray) -> FloatA
     return _kernel_values(used, x, 1.0)
 
 
-def derivatives(
-    used: EffectUse, names: Sequence[str], x: FloatArray, reference: FloatArray, *, difference: float = 1e-4
-) -> FloatArray:
+def derivatives(used: EffectUse, names: Sequence[str], x: FloatArray, reference: FloatArray) -> FloatArray:
     """(m, k) derivative of the added ratio with respect to parameters of the effect, by central differences.
 
     names : of the parameters within the effect;  x, reference : as `added_ratio` takes them
-    difference : step of a derivative, over the scale of the parameter
     """
+    difference = 1e-4  # step of a derivative, over the scale of the parameter
     columns = []
     for name in names:
         i = next(i for i, p in enumerate(used.effect.parameters) if p.name == name)

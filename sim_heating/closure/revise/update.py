@@ -25,7 +25,7 @@ from sim_heating.base.files.transaction import LOCK, STAGING, staged
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
 from sim_heating.closure.result import PARTLY, UNKNOWN
 from sim_heating.closure.revise.checks import check_estimate
-from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit, parameter_values
+from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit
 from sim_heating.closure.revise.evidence import FlightEvidence, flight_evidence, is_effect
 from sim_heating.closure.revise.flown_ratio import FlownRatio, added_nodes, axes_for
 from sim_heating.closure.revise.revision_file import RevisionFile, UsedRecord, stored_evidence
@@ -454,13 +454,9 @@ def _check_not_used(history: TableHistory, used: Sequence[UsedRecord]) -> None:
                     )
 
 
-def _round_table(
-    old: RatioTable, updated: Posterior, header: dict[str, str], *, ratio_digits: int = 6, sigma_digits: int = 4
-) -> RatioTable:
-    """The new table: changed nodes to a few digits, the others as they were, sigma nowhere larger.
-
-    ratio_digits, sigma_digits : significant digits of a changed node, far below any sigma
-    """
+def _round_table(old: RatioTable, updated: Posterior, header: dict[str, str]) -> RatioTable:
+    """The new table: changed nodes to a few digits, the others as they were, sigma nowhere larger."""
+    ratio_digits, sigma_digits = 6, 4  # significant digits of a changed node, far below any sigma
     assert old.sigma is not None
     ratio = _significant(updated.ratio, ratio_digits)
     # Data never make a node less certain; rounding up must not either.
@@ -597,9 +593,7 @@ def _revision_content(
         "reference_condition": dict(zip(RATIO_VARIABLES, estimate.reference_condition.values().tolist(), strict=True)),
         "parameters": {n: p.model_dump() for n, p in update.parameters.items()},
         "effects": update.effects.changes(),
-        "in_table": [
-            {"name": u.effect.name, "parameters": parameter_values(u), "before": None} for u in update.flight.in_table
-        ],
+        "in_table": [{"name": u.effect.name, "parameters": u.by_name, "before": None} for u in update.flight.in_table],
         "not_written": update.not_written,
         "reach": UPDATE_REACH,
         "errors_K": errors,

@@ -137,11 +137,9 @@ def _values(h: Hypothesis) -> dict[str, float]:
     return {u.parameter.name: float(v) for u, v in pairs if u.parameter.name in h.model.cause.candidate.names}
 
 
-def _pinned(model: JointModel, values: Mapping[str, float], *, pinned_sigma: float = 1e-6) -> JointModel:
-    """The model with those parameters of its cause at given values that records may have in common.
-
-    pinned_sigma : standard deviation of a value that is given, over the value
-    """
+def _pinned(model: JointModel, values: Mapping[str, float]) -> JointModel:
+    """The model with those parameters of its cause at given values that records may have in common."""
+    pinned_sigma = 1e-6  # standard deviation of a value that is given, over the value
     pinned = [n for n, level in model.cause.widest.items() if level != RECORD]
     model.problem.unknowns = [
         replace(u, parameter=replace(p, value=values[p.name], sigma=pinned_sigma * (abs(values[p.name]) or 1.0)))

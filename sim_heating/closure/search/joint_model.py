@@ -229,13 +229,9 @@ def fit_models(
     return maximise_together(problems, starts, settings)
 
 
-def refit_models(
-    models: Sequence[JointModel], starts: Sequence[FloatArray], *, iterations: int = 15
-) -> list[tuple[JointModel, Fit]]:
-    """Models that can be marched with their fits, from starts near their end.
-
-    iterations : steps at most, which suffice there unless a record does not determine a parameter
-    """
+def refit_models(models: Sequence[JointModel], starts: Sequence[FloatArray]) -> list[tuple[JointModel, Fit]]:
+    """Models that can be marched with their fits, from starts near their end."""
+    iterations = 15  # steps at most, which suffice there unless a record does not determine a parameter
     fits = fit_models(models, starts, iterations=iterations)
     return [(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
 

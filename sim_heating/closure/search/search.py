@@ -159,21 +159,16 @@ def _stage(progress: Progress, begin: float, end: float, label: str) -> Progress
 
 
 def _changes(
-    baseline: FitResult,
-    base: TrialFit,
-    singles: Sequence[Hypothesis],
-    discrepancies: Sequence[Discrepancy],
-    *,
-    change_shares: tuple[float, float] = (0.5, 0.25),
-    shares_beside_adequate: tuple[float, float] = (0.8, 0.6),
+    baseline: FitResult, base: TrialFit, singles: Sequence[Hypothesis], discrepancies: Sequence[Discrepancy]
 ) -> list[Hypothesis]:
     """Hypotheses that the record's flight, wall or sensors are other than declared.
 
     singles : of one effect each. Where one explains the record to its noise, it needs no further forms of that effect
-    change_shares, shares_beside_adequate : parts of the best gain in log likelihood that a change of the record has to
-        predict to be fitted: one without ends, and one whose ends can be moved, which gains more by that; the second
-        two where an effect explains the record to its noise
     """
+    # parts of the best gain in log likelihood that a change of the record has to predict to be fitted: one without
+    # ends, and one whose ends can be moved, which gains more by that; the second two where an effect explains the
+    # record to its noise
+    change_shares, shares_beside_adequate = (0.5, 0.25), (0.8, 0.6)
     record, explained = base.record_fit.record, _explaining(singles)
     changes = [
         *flight_changes(record, discrepancies), *lamp_changes(record), *wall_changes(record), *shape_changes(record),
@@ -296,11 +291,9 @@ class _Search:
         explaining = [h for h in hypotheses if h.change is None and h.excess_chi2 < most]
         return sorted(explaining, key=lambda h: h.excess_chi2)
 
-    def recorrected(self, hypotheses: Sequence[Hypothesis], *, most: int = 4) -> list[Hypothesis]:
-        """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess.
-
-        most : hypotheses that get a mesh correction of their own
-        """
+    def recorrected(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The leading hypotheses that explain most of the excess, with the mesh correction at their own values."""
+        most = 4  # hypotheses that get a mesh correction of their own
         leading: dict[frozenset[str], Hypothesis] = {}
         for h in self.explaining_most(hypotheses):
             if not h.adequate:
@@ -401,19 +394,11 @@ def _nameable_first(trials: Sequence[TrialFit]) -> list[TrialFit]:
     return sorted(trials, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
 
 
-def _rounds_on_top(
-    stacks: Sequence[Sequence[TrialFit]],
-    progress: Progress,
-    *,
-    pair_share: float = 0.3,
-    most_pairs: int = 24,
-    starts_of_pair: int = 1,
-) -> list[SearchRound]:
-    """By stack of effects, the pass over all candidates on top of it; of all passes together the best are fitted.
-
-    pair_share, most_pairs, starts_of_pair : of the most that a further effect promises, on top of any first one: the
-        share that another has to promise to be fitted, how many are, and how many starts of a form
-    """
+def _rounds_on_top(stacks: Sequence[Sequence[TrialFit]], progress: Progress) -> list[SearchRound]:
+    """By stack of effects, the pass over all candidates on top of it; of all passes together the best are fitted."""
+    # of the most that a further effect promises, on top of any first one: the share that another has to promise to be
+    # fitted, how many are, and how many starts of a form
+    pair_share, most_pairs, starts_of_pair = 0.3, 24, 1
     progress(0.0, "screening candidates")
     bases = [stack[-1] for stack in stacks]
     screened = [_screened(stack) for stack in stacks]

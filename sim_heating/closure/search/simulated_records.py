@@ -27,18 +27,17 @@ from sim_heating.estimation.inference.model_error import Correlation, ModelError
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
 
 
-def with_simulated_p_value(
-    trial: TrialFit, adequacy: Adequacy, members: int = 1, *, batch: int = 200, most: int = 2000
-) -> Adequacy:
+def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy, members: int = 1) -> Adequacy:
     """The adequacy of a trial's model with its p-value from records made with it; as it is for an exact model.
 
     adequacy : of the record itself, with its statistic
-    members  : records that have the model in common;  batch, most : records that are made at once and at most for each
+    members : records that have the model in common
 
     Of either distribution records are made until the 95 % interval of the p-value is on one side of `Policy.adequate_p`
     (Besag and Clifford 1991: sequential Monte Carlo tests). Noise above the declared one is no explanation here: the
     filter that takes up the error leaves innovations without structure where a model is wrong, too.
     """
+    batch, most = 200, 2000  # records that are made at once and at most for each
     if trial.record_fit.model_error is None or trial.size is None:
         return adequacy
     rng, p_values = np.random.default_rng(20261128), []

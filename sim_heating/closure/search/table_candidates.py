@@ -17,13 +17,12 @@ TABLE = "table"
 """Name of these candidates, which no effect has."""
 
 
-def table_candidates(base: TrialFit, *, least_sigma: float = 1.0) -> list[Candidate]:
+def table_candidates(base: TrialFit) -> list[Candidate]:
     """The candidates that free one magnitude or derivative each; none where the record has no table.
 
     Those against a variable that is constant over the fitted samples are left out.
-
-    least_sigma : sigmas of the table by which an estimate has to be off for its prior to matter
     """
+    least_sigma = 1.0  # sigmas of the table by which an estimate has to be off for its prior to matter
     record, values = base.record_fit.record, fitted_values(base)
     fitted = {p.name: p for p in base.problem.parameters}
     excluded = [n for n in undeclared_derivatives(record, default_names([record])) if n not in fitted]

@@ -84,23 +84,14 @@ class _Predicted:
     weight: FloatArray
 
 
-def tell_apart(
-    none: Hypothesis,
-    best: Hypothesis,
-    rivals: Sequence[Hypothesis],
-    most: int = 2,
-    *,
-    least_log_odds: float = math.log(2.0),
-) -> list[Experiment]:
+def tell_apart(none: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis], most: int = 2) -> list[Experiment]:
     """The experiments that are expected to tell the likeliest cause from its rivals best, with their odds.
 
     none    : the declared model, on the record as declared
     best    : the likeliest cause;  rivals : those that the record cannot tell from it
     most    : how many are returned
-    returns : the best first, those that do little more than the same flight again left out; none
-              where a cause is a change of the readings
-
-    least_log_odds : log odds by which an experiment has to exceed those of the same flight again
+    returns : the best first, those that do little more than the same flight again left out; none where a cause is a
+              change of the readings
     """
     models = [best, *rivals[: EFFORT.rivals]]
     record_fit = none.last.record_fit
@@ -124,7 +115,7 @@ def tell_apart(
             kinds[flight.kind] = experiment
     again = kinds.pop(REPEATED, Experiment(REPEATED, 0.0))
     # What hardly does more than the same flight again is not worth its cost.
-    better = [e for e in kinds.values() if e.log_odds > again.log_odds + least_log_odds]
+    better = [e for e in kinds.values() if e.log_odds > again.log_odds + math.log(2.0)]
     return [*sorted(better, key=lambda e: -e.log_odds), again][:most]
 
 
@@ -158,11 +149,9 @@ def _flights(record: Record, *, recorders: bool) -> Iterator[_Flight]:
     yield from _manoeuvres(record)
 
 
-def _recorders(record: Record, *, finer_bits: int = 12, more_often: int = 5) -> Iterator[_Flight]:
-    """The readings in finer words, and more often.
-
-    finer_bits, more_often : bits of finer recorder words, and readings in place of one
-    """
+def _recorders(record: Record) -> Iterator[_Flight]:
+    """The readings in finer words, and more often."""
+    finer_bits, more_often = 12, 5  # bits of finer recorder words, and readings in place of one
     finer = [
         s.model_copy(update={"bits": finer_bits}) if s.bits is not None and s.bits < finer_bits else s
         for s in record.sensors
@@ -178,11 +167,9 @@ def _recorders(record: Record, *, finer_bits: int = 12, more_often: int = 5) -> 
     yield _Flight(f"readings every {interval:.2g} s", "rate", changed)
 
 
-def _manoeuvres(record: Record, *, begins: tuple[float, float, float] = (0.2, 0.5, 0.8)) -> Iterator[_Flight]:
-    """One manoeuvre more at each of some times; none where nothing flows, or in what the flight does not state.
-
-    begins : where a manoeuvre begins, as parts of the time that is read
-    """
+def _manoeuvres(record: Record) -> Iterator[_Flight]:
+    """One manoeuvre more at each of some times; none where nothing flows, or in what the flight does not state."""
+    begins = (0.2, 0.5, 0.8)  # where a manoeuvre begins, as parts of the time that is read
     flown, read = record.conditions, record.time_s[record.fit_mask() | record.holdout_mask()]
     begin, end = max(float(read[0]), flown.time_s[0]), min(float(read[-1]), flown.time_s[-1])
     if not record.has_flow or end - begin < 3.0 * LONGEST_S:
@@ -244,13 +231,12 @@ def _marches(base: TrialFit, model: Hypothesis, record: Record) -> list[tuple[Fi
         return []
 
 
-def _step(model: Hypothesis, *, step: float = 0.1) -> float:
+def _step(model: Hypothesis) -> float:
     """Step in a change whose value is an unknown without exact derivative; 0 for any other model.
 
     The value of a change that an effect was added to stays as it was found.
-
-    step : step in a change without exact derivative, over the usual standard deviation of its parameter
     """
+    step = 0.1  # step in a change without exact derivative, over the usual standard deviation of its parameter
     change = None if model.added else model.change
     return 0.0 if change is None or change.in_model or change.parameter is None else step * change.parameter.sigma
 

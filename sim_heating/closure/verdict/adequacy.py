@@ -229,11 +229,9 @@ def _joined(scores: Sequence[_Scores]) -> _Scores:
     return _Scores(time_s[order], square[order], information[order])
 
 
-def _parts(everything: _Scores, *, part_count: int = 8) -> dict[str, _Scores]:
-    """Consecutive parts with as many samples each, by their times.
-
-    part_count : consecutive parts of a record that are judged by themselves
-    """
+def _parts(everything: _Scores) -> dict[str, _Scores]:
+    """Consecutive parts with as many samples each, by their times."""
+    part_count = 8  # consecutive parts of a record that are judged by themselves
     phases = {}
     for index in np.array_split(np.arange(len(everything.time_s)), part_count):
         if len(index) >= FEWEST:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,25 +46,23 @@ def repeated_fits(
     *,
     effects: Sequence[EffectUse] = (),
     start: Start | None = None,
-    reference: Mapping[str, float] | None = None,
     repetitions: int = 200,
-    seed: int = 1,
     progress: Progress = no_progress,
 ) -> RepeatedFits:
     """Simulate and fit the readings of a record repeatedly, each time with another truth.
 
     experiment  : unknowns, without the factor on the surface pressure, and their priors
     effects     : in addition to the declared model;  start : of the march
-    reference   : values of ratio variables that derivatives are about ([deg], [-])
-    repetitions : number of fits;  seed : of the random numbers
+    repetitions : number of fits
     raises      : RunError where no fit converges
     """
+    seed = 1  # of the random numbers
     priors = {p.name: p for p in experiment.unknowns}
     of_start = {} if start is None else {u.name: priors[u.name] for u in start.unknowns}
     begin = None if start is None else replace(start, unknowns=tuple(of_start.values()))
     names = [n for n in experiment.names if n not in of_start]
-    condition = joint_reference([record], reference)
-    problem = FitProblem([record], names, condition, FitOptions(effects=effects, priors=priors, starts=[begin]))
+    options = FitOptions(effects=effects, priors=priors, starts=[begin])
+    problem = FitProblem([record], names, joint_reference([record]), options)
     parameters, record_fit = problem.parameters, problem.record_fits[0]
     rng = np.random.default_rng(seed)
     errors = []

@@ -57,18 +57,15 @@ class PredictedChannel:
     jacobian: FloatArray
     sigma_K: FloatArray | float
 
-    def information(self, levels: int) -> FloatArray:
+    def information(self) -> FloatArray:
         """(parameter, parameter) expected information of all samples of the sensor.
 
-            sum_i S_i S_i' mean_j E I(m_i + j LSB / levels)
-
-        levels : number of levels [-] between two codes [K] that the temperatures are averaged over; 1 takes them as
-                 predicted
+            sum_i S_i S_i' mean_j E I(m_i + j LSB / LEVELS)
 
         Source: docs/how_to/manoeuvre_design.md, equations 1 and 2.
         """
         # where a temperature lies between two codes is not known before a flight: an average over the step
-        mean_K = self.mean_K + self.sensor.lsb_K * np.arange(levels)[:, np.newaxis] / levels
+        mean_K = self.mean_K + self.sensor.lsb_K * np.arange(LEVELS)[:, np.newaxis] / LEVELS
         weight = np.mean(expected_information(self.sensor, mean_K, self.sigma_K), axis=0)
         return (self.jacobian * weight[:, np.newaxis]).T @ self.jacobian
 
@@ -79,14 +76,12 @@ class Experiment:
 
     unknowns : with their priors before the flight, in the order of the sensitivities
     channels : predicted samples by sensor
-    levels   : 1 where the temperatures are taken as predicted, more where they are uncertain by more than a code
 
     Source: docs/how_to/manoeuvre_design.md, equations 1 to 3.
     """
 
     unknowns: tuple[Parameter, ...]
     channels: tuple[PredictedChannel, ...]
-    levels: int = LEVELS
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -129,7 +124,7 @@ class Experiment:
         Source: docs/how_to/manoeuvre_design.md, equations 1 and 2.
         """
         nothing = np.zeros((len(self.unknowns), len(self.unknowns)))
-        return sum((c.information(self.levels) for c in self.channels), start=nothing)
+        return sum((c.information() for c in self.channels), start=nothing)
 
     def covariance(self, names: Sequence[str], flights: int = 1) -> FloatArray:
         """(names, names) Cramer-Rao bound on some parameters after a number of such flights.
@@ -213,21 +208,18 @@ def experiment(
     *,
     effects: Sequence[EffectUse] = (),
     start: Start | None = None,
-    reference: Mapping[str, float] | None = None,
 ) -> Experiment:
     """Expected information of a record's flight conditions, sensors and sample times; its readings are not used.
 
     names     : dotted names of the unknowns
     effects   : in addition to the declared model
     start     : start of the march; its unknowns are added to `names`
-    reference : values of ratio variables that derivatives are about ([deg], [-])
     returns   : predictions [K] and sensitivities at the prior means
     raises    : InputError where the record has no sample within its fit segments, RunError where a march failed
 
     Source: docs/how_to/manoeuvre_design.md, equations 1, 2 and 4.
     """
-    condition = joint_reference([record], reference)
-    problem = FitProblem([record], names, condition, FitOptions(effects=effects, starts=[start]))
+    problem = FitProblem([record], names, joint_reference([record]), FitOptions(effects=effects, starts=[start]))
     unknowns = tuple(replace(u.parameter, name=u.label) for u in problem.unknowns)
     predicted = problem.samples(np.array([p.value for p in unknowns]))
     channels = [
@@ -238,22 +230,21 @@ def experiment(
 
 
 def sensitivity_to_effort(
-    names: Sequence[str], information: FloatArray, prior: FloatArray, larger: float = 2.0, longer: float = 2.0
+    names: Sequence[str], information: FloatArray, prior: FloatArray
 ) -> dict[str, dict[str, float]]:
-    """Factor on each derivative's bound with larger excursions or more samples of a flown manoeuvre.
+    """Factor on each derivative's bound with twice the excursions or twice the samples of a flown manoeuvre.
 
-        larger : M_jk -> a^(n_j + n_k) M_jk, excursions of that derivative's variables a times as large
-        longer : M -> b M, b times as many samples of the same kind
+        larger : M_jk -> 2^(n_j + n_k) M_jk, excursions of that derivative's variables twice as large
+        longer : M -> 2 M, twice as many samples of the same kind
 
     names       : (parameter,);  information : (parameter, parameter) of the samples;  prior : (parameter,) 1 / sigma^2
-    larger      : a [-];  longer : b [-]
     returns     : derivative -> new bound over the old one [-], by "larger" and "longer"; unidentified ones are omitted
 
     n_j counts the scaled variables in parameter j, a squared one once. Temperatures are linear in a derivative times
     its excursion. Source: docs/how_to/manoeuvre_design.md, equation 6.
     """
     now = np.sqrt(np.diag(covariance(information + np.diag(prior))))
-    long = np.sqrt(np.diag(covariance(longer * information + np.diag(prior))))
+    long = np.sqrt(np.diag(covariance(2.0 * information + np.diag(prior))))
     factors = {}
     for k, name in enumerate(names):
         variables = variables_of(name)
@@ -261,15 +252,10 @@ def sensitivity_to_effort(
             continue
         # a derivative times its excursion is what the march sees: larger excursions scale the columns of the
         # information
-        factor = np.array([larger ** _shared_variables(variables, variables_of(n)) for n in names])
+        factor = np.array([2.0 ** sum(i in variables for i in variables_of(n)) for n in names])
         large = np.sqrt(np.diag(covariance(information * np.outer(factor, factor) + np.diag(prior))))
         factors[name] = {"larger": float(large[k] / now[k]), "longer": float(long[k] / now[k])}
     return factors
-
-
-def _shared_variables(scaled: Sequence[int], exponents: Sequence[int]) -> int:
-    """Number of variables of a derivative that are among those scaled."""
-    return sum(i in scaled for i in exponents)
 
 
 def check_identified(planned: Experiment, names: Sequence[str]) -> None:

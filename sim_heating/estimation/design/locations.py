@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.files import finite_or_none
 from sim_heating.estimation.design.planned_flight import PlannedFlight, Planner
 from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.thermal.stack import Sensor
@@ -104,7 +105,7 @@ def as_json(at: Location, names: tuple[str, ...]) -> Mapping[str, object]:
         "depth_m": at.sensor.depth_m,
         "is_installed": at.is_installed,
         "ratio": at.ratio,
-        "sigma": {n: float(s) if np.isfinite(s) else None for n, s in zip(names, at.sigma, strict=True)},
-        "over_declared": at.over_declared if np.isfinite(at.over_declared) else None,
+        "sigma": {n: finite_or_none(s) for n, s in zip(names, at.sigma, strict=True)},
+        "over_declared": finite_or_none(at.over_declared),
         "surface_margin_K": at.surface_margin_K,
     }

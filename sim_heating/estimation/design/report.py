@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.files import output_directory, write_json, write_text_atomic
+from sim_heating.base.files import finite_or_none, output_directory, write_json, write_text_atomic
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parameters import PRESSURE_FACTOR
 from sim_heating.base.progress import Progress, no_progress
@@ -169,7 +169,7 @@ def summary(designed: DesignResult) -> dict[str, Any]:
         "criterion_over_planned": design_criterion(
             declared.criterion, best.covariance(names), planned.covariance(names)
         ),
-        "unknowns": {p.name: p.sigma if np.isfinite(p.sigma) else None for p in best.unknowns},
+        "unknowns": {p.name: finite_or_none(p.sigma) for p in best.unknowns},
         "parameters": {
             name: {
                 "unit": best.unknowns[best.names.index(name)].unit,
@@ -199,7 +199,7 @@ def summary(designed: DesignResult) -> dict[str, Any]:
 
 def _by_name(names: tuple[str, ...], sigma: FloatArray) -> dict[str, float | None]:
     """By name; None where a parameter is not identified."""
-    return {n: float(s) if np.isfinite(s) else None for n, s in zip(names, sigma, strict=True)}
+    return {n: finite_or_none(s) for n, s in zip(names, sigma, strict=True)}
 
 
 def _flight(flown: PlannedFlight) -> dict[str, Any]:
@@ -280,17 +280,12 @@ def bounds_table(designed: DesignResult, flights: Sequence[int]) -> Table:
     return Table(f"{designed.scenario.title}: {point}, one standard deviation", columns, rows)
 
 
-def bounds_csv(designed: DesignResult) -> str:
-    """Bounds of the wanted parameters, a line a parameter."""
-    return bounds_table(designed, designed.planner.design.flights).csv(".6g")
-
-
 def write_design(designed: DesignResult, out: str | os.PathLike[str]) -> list[str]:
     """Write design.json, bounds.csv, pictures and report.html; returns the names of the files."""
 
     with output_directory(out, "design", inputs=designed.scenario.files) as folder:
         write_json(folder / NAME, summary(designed))
-        write_text_atomic(folder / BOUNDS, bounds_csv(designed))
+        write_text_atomic(folder / BOUNDS, bounds_table(designed, designed.planner.design.flights).csv(".6g"))
         draw_design(folder / DESIGN, designed)
         draw_sweeps(folder / SWEEPS, designed)
         draw_instruments(folder / INSTRUMENTS, designed)

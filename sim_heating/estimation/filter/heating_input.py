@@ -407,10 +407,9 @@ class _InverseProblem:
     @property
     def _log_exact_fit(self) -> float:
         """Log likelihood of readings equal to their predictions."""
-        middle = 0.5 * (self.observed.lower_K + self.observed.upper_K)
+        middle = self.observed.centre_K
         inner = np.isfinite(middle)
-        finite = ReadingIntervals(self.observed.lower_K[inner], self.observed.upper_K[inner])
-        return float(np.sum(likelihood(finite, middle[inner], self.sigma_K[inner]).log_likelihood))
+        return float(np.sum(likelihood(self.observed.select(inner), middle[inner], self.sigma_K[inner]).log_likelihood))
 
     def _log_marginal(
         self, here: _MarchedInput, A: FloatArray, b: FloatArray, chosen: Disturbance | None, factor: float

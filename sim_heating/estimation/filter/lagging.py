@@ -10,6 +10,7 @@ the lagging one by as much. docs/theory/filter.md, equation 23.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from sim_heating.estimation.filter.march import FilterTrack
 from sim_heating.estimation.filter.online import OnlineFilter, PointReadings, Prior, no_readings
 
 
-class Lagging:
+class Lagging(NamedTuple):
     """Thermocouples that lag among the points of one filter.
 
     number : (lagging,) of each among all sensors of the link, increasing
@@ -28,8 +29,10 @@ class Lagging:
     tau_s  : (lagging,) time constants [s]
     """
 
-    def __init__(self, number: IntArray, point: IntArray, node: IntArray, tau_s: FloatArray) -> None:
-        self.number, self.point, self.node, self.tau_s = number, point, node, tau_s
+    number: IntArray
+    point: IntArray
+    node: IntArray
+    tau_s: FloatArray
 
 
 class LaggingFilter(OnlineFilter):

@@ -150,11 +150,6 @@ class FilterHistory:
     rows: FloatArray
     step: IntArray
 
-    @property
-    def bytes(self) -> int:
-        """Memory of the history in bytes, mostly 16 for each step and pair of states."""
-        return sum(a.nbytes for a in (self.mean, self.covariance, self.transition, self.rows))
-
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
@@ -225,7 +220,7 @@ class FilterMarch(LinearMarch):
         """Filter all points through their flights and readings.
 
         points  : the same ones with other readings, noise or start; models are those of `set_models`
-        keep    : whether to keep the history that a smoother needs (FilterHistory.bytes)
+        keep    : whether to keep the history that a smoother needs: 16 bytes for each step and pair of states
         returns : for each point innovations [K], variances [K2], log likelihood, sensitivities, and the state at the
                   end
         raises  : InputError for readings outside the march, negative noise, or a history with frozen gains; RunError

@@ -112,18 +112,8 @@ def readings_of_filter(readings: PointReadings, rows: IntArray, first: int, para
 
     Temperatures [K] and direct terms of docs/theory/filter.md, equation 12, are as they were.
     """
-    point, time_s, node, lower, upper, variance, gain, bias, direct = readings
-    return PointReadings(
-        point[rows] - first,
-        time_s[rows],
-        node[rows],
-        lower[rows],
-        upper[rows],
-        variance[rows],
-        gain[rows],
-        bias[rows],
-        direct[rows, :parameters],
-    )
+    own = readings._replace(**{name: column[rows] for name, column in readings._asdict().items()})
+    return own._replace(point=own.point - first, direct=own.direct[:, :parameters])
 
 
 class Innovations(NamedTuple):

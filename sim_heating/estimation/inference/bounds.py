@@ -90,18 +90,17 @@ class CramerRaoBounds:
         """
         return np.sqrt(np.diag(self.covariance))
 
-    def half_width(self, level: float = 0.95) -> FloatArray:
-        """(parameter,) half width of the interval that covers the truth with a probability, by Student's t.
+    def half_width(self) -> FloatArray:
+        """(parameter,) half width of the interval that covers the truth with 95 % probability, by Student's t.
 
-            sigma_j t_dof(1/2 + level / 2)
+            sigma_j t_dof(0.975)
 
-        level   : probability [-]
-        returns : in the units of the parameters
+        returns : in the units of the parameters ([-] for a ratio)
 
         Below some ten degrees of freedom the interval covers less than stated. Source:
         docs/theory/estimation_statistics.md, equation 26.
         """
-        return self.sigma * float(stdtrit(self.dof, 0.5 + 0.5 * level))
+        return self.sigma * float(stdtrit(self.dof, 0.975))
 
 
 def grid_index(time_s: FloatArray) -> IntArray:

@@ -14,7 +14,7 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.block import LANES
 from sim_heating.estimation.inference.bounds import ChannelResiduals
-from sim_heating.estimation.inference.likelihood import ReadingIntervals, scores
+from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.model_error import (
     AS_STATED,
     CorrelatedNoise,
@@ -318,7 +318,7 @@ def innovations(
     if G is None:
         return list(samples), None
     mean_K = np.concatenate([s.mean_K for s in samples])
-    read = np.concatenate([_middle_K(s.channel.intervals) for s in samples])
+    read = np.concatenate([s.channel.intervals.centre_K for s in samples])
     shape, read = read.shape, read.reshape(len(read), -1)
     time_s = np.concatenate([record_fit.sample_s[s.channel.samples] for s in samples])
     n = G.shape[1]
@@ -388,7 +388,7 @@ def whitened(record_fit: RecordFit, samples: Sequence[PredictedSamples], free: B
     """
     G, noise = record_fit.error_root_K, record_fit.reading_noise_K
     assert G is not None  # the caller's records have one
-    left_K = np.concatenate([_middle_K(s.channel.intervals) - s.mean_K for s in samples])
+    left_K = np.concatenate([s.channel.intervals.centre_K - s.mean_K for s in samples])
     jacobian = np.concatenate([s.jacobian[:, free] for s in samples])
     time_s = np.concatenate([s.time_s for s in samples])
     channel = np.repeat(np.arange(len(samples)), [len(s.mean_K) for s in samples])
@@ -403,12 +403,6 @@ def whitened(record_fit: RecordFit, samples: Sequence[PredictedSamples], free: B
         name = f"{record_fit.record.name}/{s.channel.sensor.name}"
         residuals.append(ChannelResiduals(name, time_s[order][rows], residual, np.ones(len(residual)), sensitivity))
     return residuals
-
-
-def _middle_K(intervals: ReadingIntervals) -> FloatArray:
-    """(reading,) middles of the intervals [K]; not finite where a reading is lost or at an end of a word's span."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray(0.5 * (intervals.lower_K + intervals.upper_K))
 
 
 def error_size(
@@ -437,7 +431,7 @@ def error_size(
     error = record_fit.model_error
     assert error is not None  # the caller's records have one
     noise = record_fit.reading_noise_K
-    read = np.concatenate([_middle_K(s.channel.intervals) for s in samples])
+    read = np.concatenate([s.channel.intervals.centre_K for s in samples])
     mean_K = np.concatenate([s.mean_K for s in samples])
     S, F = record_fit.error_responses_K
     # parameters that the flight's error has are integrated out with it, and come next to it

@@ -50,6 +50,15 @@ class ReadingIntervals:
         """(sample,) whether the interval [K] of a sample is finite: neither lost nor at an end of the word's span."""
         return np.isfinite(self.upper_K - self.lower_K)
 
+    @property
+    def centre_K(self) -> FloatArray:
+        """(sample,) middle of the interval [K]; not finite where a sample is lost or at an end of a word's span.
+
+        Of the interval of docs/theory/estimation_statistics.md, equation 4.
+        """
+        with np.errstate(invalid="ignore"):
+            return np.asarray(0.5 * (self.lower_K + self.upper_K))
+
     def select(self, mask: NDArray[np.bool_]) -> ReadingIntervals:
         """Intervals [K] of the samples that a boolean mask (sample,) selects."""
         return ReadingIntervals(self.lower_K[mask], self.upper_K[mask])

@@ -24,8 +24,9 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.files import finite_or_none
 from sim_heating.base.parameters import Parameter
-from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, maximise
+from sim_heating.estimation.inference.newton import Evaluation, Fit, maximise
 from sim_heating.estimation.problem import FitProblem
 
 LIMIT = 2.0 * float(gammaincinv(0.5, 0.95))
@@ -81,8 +82,8 @@ class Profile:
         """Its entry in estimate.json."""
         return {
             "value": self.value,
-            "lower": self.lower if math.isfinite(self.lower) else None,
-            "upper": self.upper if math.isfinite(self.upper) else None,
+            "lower": finite_or_none(self.lower),
+            "upper": finite_or_none(self.upper),
             "lower_open": self.lower_open,
             "upper_open": self.upper_open,
             "unit": self.unit,
@@ -99,20 +100,17 @@ def _end(value: float, is_open: bool) -> str:
     return f"its bound {value:.5g}" if is_open else f"{value:.5g}"
 
 
-def profile(
-    problem: FitProblem, fit: Fit, name: str, colour: float = 1.0, settings: NewtonSettings | None = None
-) -> Profile:
+def profile(problem: FitProblem, fit: Fit, name: str, colour: float) -> Profile:
     """The profile of the likelihood of one parameter of a fit, and its 95 % interval.
 
     problem  : with the noise that the fit ended with, which is held
     fit      : of this problem
     name     : label of the parameter
     colour   : variance of the estimate corrected for coloured residuals over that without the correction [-]
-    settings : of the refits of the other parameters
 
     Each refit begins with the values of its neighbour. Source: docs/theory/estimation_statistics.md, equation 26a.
     """
-    walk = _Walk(problem, fit, fit.names.index(name), colour, settings)
+    walk = _Walk(problem, fit, fit.names.index(name), colour)
     ends = [walk.end(side) for side in (-1.0, 1.0)]
     values = np.array(sorted(walk.refits))
     log_posterior = np.array([walk.refits[v].log_posterior for v in values])
@@ -135,10 +133,8 @@ class _Refit:
 class _Walk:
     """Refits along one parameter, outward from the values of a fit."""
 
-    def __init__(
-        self, problem: FitProblem, fit: Fit, index: int, colour: float, settings: NewtonSettings | None
-    ) -> None:
-        self.problem, self.at, self.colour, self.settings = problem, index, colour, settings
+    def __init__(self, problem: FitProblem, fit: Fit, index: int, colour: float) -> None:
+        self.problem, self.at, self.colour = problem, index, colour
         self.parameters: Sequence[Parameter] = problem.parameters
         self.parameter = self.parameters[index]
         self.others = [p for k, p in enumerate(self.parameters) if k != index]
@@ -189,10 +185,10 @@ class _Walk:
         def log_likelihoods(candidates: FloatArray) -> FloatArray:
             return self.problem.log_likelihoods(with_value(candidates))
 
-        fits = [maximise(evaluate, self.others, np.delete(start, k), log_likelihoods, self.settings)]
+        fits = [maximise(evaluate, self.others, np.delete(start, k), log_likelihoods)]
         if not math.isfinite(fits[0].log_posterior):  # the ridge led out of what can be marched
             first = np.delete(self.refits[near].values, k)
-            fits.append(maximise(evaluate, self.others, first, log_likelihoods, self.settings))
+            fits.append(maximise(evaluate, self.others, first, log_likelihoods))
         return self._told(with_value(fits[-1].values), fits[-1].log_posterior + log_prior)
 
     def end(self, side: float) -> tuple[float, bool]:

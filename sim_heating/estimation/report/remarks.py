@@ -146,7 +146,7 @@ def _largest_emittance(model: PointModel, history: PointHistory) -> tuple[float,
     emittance = np.interp(T, *table.T) * model.value(EMITTANCE_FACTOR)
     for used in model.effects:
         if used.effect.name == "emissivity":
-            values = dict(zip((p.name for p in used.effect.parameters), used.values, strict=True))
+            values = used.by_name
             emittance *= np.maximum(values["emissivity_factor"] + values["emissivity_slope"] * (T - 1000.0), 0.0)
     k = int(np.argmax(emittance))
     return float(emittance[k]), float(T[k])

@@ -13,7 +13,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.files import output_directory, write_csv
+from sim_heating.base.files import finite_or_none, output_directory, write_csv
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.design.information import sensitivity_to_effort
@@ -56,14 +56,10 @@ def _parameters(fitted: FitResult) -> dict[str, dict[str, Any]]:
             "unit": p.unit,
             "white_sigma": float(w),
             "prior_mean": float(p.value) if np.isfinite(p.sigma) else None,
-            "prior_sigma": _finite(p.sigma),
+            "prior_sigma": finite_or_none(p.sigma),
             **({"lower": p.lower, "upper": p.upper} if stated & {u.label, *u.tied} else {}),
         }
     return entries
-
-
-def _both_errors(predictions: tuple[Prediction, ...]) -> dict[str, Any]:
-    return {segments: _errors(predictions, segments) for segments in ("fit", "holdout")}
 
 
 def estimate_contents(fitted: FitResult) -> Estimate:
@@ -86,7 +82,9 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "noise_floor_K": noise_floor_K(fitted),
             "fit": _errors(fitted.after, "fit"),
             "holdout": _errors(fitted.after, "holdout"),
-            "predicted": None if any(r.lacks_ratio for r in records) else _both_errors(fitted.before),
+            "predicted": None
+            if any(r.lacks_ratio for r in records)
+            else {segments: _errors(fitted.before, segments) for segments in ("fit", "holdout")},
             "samples": sample_counts(fitted),
             "profiles": {name: profile.as_json() for name, profile in fitted.profiles.items()},
             "outliers": [outlier.as_json() for outlier in fitted.outliers],
@@ -133,17 +131,13 @@ def estimate_table(title: str, estimate: Estimate) -> Table:
     return Table(title, columns, rows)
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _effects(fitted: FitResult) -> list[dict[str, Any]]:
     """The effects of each control point's model at the values found."""
     models = {p.record.declared.control_point: p.model_at(fitted.fit.values) for p in fitted.problem.record_fits}
     return [
         {
             "name": used.effect.name,
-            "parameters": {p.name: float(v) for p, v in zip(used.effect.parameters, used.values, strict=True)},
+            "parameters": {n: float(v) for n, v in used.by_name.items()},
             **({"control_point": point} if len(models) > 1 else {}),
         }
         for point, model in models.items()

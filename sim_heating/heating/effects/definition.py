@@ -363,6 +363,11 @@ class EffectUse:
         in the order of the values."""
         return self.declared or self.effect.parameters
 
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Value of each parameter, in its unit ([-], [s], [K] ...), by its name within the effect."""
+        return {p.name: v for p, v in zip(self.effect.parameters, self.values, strict=True)}
+
 
 def combined_uses(declared: Iterable[EffectUse], replacing: Iterable[EffectUse]) -> tuple[EffectUse, ...]:
     """Effects of a point: those declared, or that of the same name in `replacing`; then the rest of `replacing`."""

@@ -31,7 +31,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import CsvTable, csv_text, display_path, raise_problems
-from sim_heating.base.files.csv_table import csv_columns
+from sim_heating.base.files.csv_table import read_csv_columns
 from sim_heating.base.files.text import read_text
 from sim_heating.base.files.units import Conversion, converted, name_and_unit
 from sim_heating.heating.atmosphere import free_stream, standard_speed_of_sound, us76
@@ -139,7 +139,7 @@ def _in_columns(path: Path) -> CsvTable:
         lines[at] = ",".join(name for name, _ in columns)
     optional = ("beta_deg", "wall_K", *(n for g in (*REYNOLDS, *HEATING) for n in g))
     renamed = {name: head.strip() for head, (name, _) in zip(heads, columns, strict=True) if name != head.strip()}
-    file = csv_columns(path, "\n".join(lines), (*POSITION, "alpha_deg"), optional, heads=renamed)
+    file = read_csv_columns(path, (*POSITION, "alpha_deg"), optional, content="\n".join(lines), heads=renamed)
     return file.with_columns(
         {n: u.factor * file[n] + u.offset for n, u in columns if u is not None and n in file.columns}
     )

@@ -25,10 +25,10 @@ from sim_heating.base.conditions import RATIO_VARIABLES, SURFACES
 from sim_heating.base.errors import InputError, tell
 from sim_heating.base.files import (
     CsvTable,
-    csv_columns,
     csv_text,
     display_path,
     raise_problems,
+    read_csv_columns,
     read_text,
     suggestion,
     write_text_atomic,
@@ -174,7 +174,7 @@ def is_below_zero(ratio: FloatArray, sigma: FloatArray) -> BoolArray:
 def _table_of(path: Path, text: str) -> RatioTable:
     """The table that a file with this text holds; its arrays are shared by all who read it, and cannot be written."""
     required = tuple(name for name in RATIO_VARIABLES if name not in SURFACES)
-    table = csv_columns(path, text, (*required, "ratio"), (*SURFACES, "sigma"))
+    table = read_csv_columns(path, (*required, "ratio"), (*SURFACES, "sigma"), content=text)
     table = table.with_columns({name: np.zeros(len(table)) for name in SURFACES if name not in table.columns})
     raise_problems([*_header_problems(table), *_column_problems(table)])
     axes = tuple(np.unique(table[name]) for name in RATIO_VARIABLES)

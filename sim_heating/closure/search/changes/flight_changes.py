@@ -57,25 +57,17 @@ def _at_least(length: float, spans: Sequence[tuple[float, float]]) -> list[tuple
     return [span for span in spans if span[1] - span[0] >= length]
 
 
-def flight_changes(
-    record: Record,
-    suspected: Sequence[Discrepancy] = (),
-    *,
-    min_flight_m_s: float = 1000.0,
-    layers_tried: int = 8,
-    drifts_tried: int = 6,
-    max_suspected: int = 4,
-) -> list[RecordChange]:
+def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> list[RecordChange]:
     """Changes of the flight that may explain a record; none for a ground test.
 
     suspected : parts of the flight whose conditions contradict each other; layers of density and drifts of velocity are
                 tried there as well as along the whole heated descent
-
-    min_flight_m_s : a record whose velocity stays below is a ground test
-    layers_tried, drifts_tried : parts of the heated descent, and of the heated time, at whose ends layers of density
-        and drifts of velocity are tried
-    max_suspected : contradictions within the conditions, the clearest ones, whose spans are tried
     """
+    min_flight_m_s = 1000.0  # a record whose velocity stays below is a ground test
+    # parts of the heated descent, and of the heated time, at whose ends layers of density and drifts of velocity are
+    # tried
+    layers_tried, drifts_tried = 8, 6
+    max_suspected = 4  # contradictions within the conditions, the clearest ones, whose spans are tried
     flown = record.conditions
     if flown["velocity_m_s"].max() < min_flight_m_s:
         return []
@@ -114,14 +106,13 @@ def _parts(span: Span, count: int) -> list[Span]:
     return [(float(at[i]), float(at[i + k])) for k in (1, 2, 4) for i in range(0, count + 1 - k)]
 
 
-def likeliest_shift_s(record: Record, *, step_s: float = 10.0) -> float | None:
+def likeliest_shift_s(record: Record) -> float | None:
     """Time by which the flight was later than its conditions, by the shape of the temperatures [s]; None where unknown.
 
     Readings are fitted by a + b (prediction of the declared model, shifted), so that an error of the heating as a whole
     does not count.
-
-    step_s : step of the shifts that are compared [s]
     """
+    step_s = 10.0  # step of the shifts that are compared [s]
     try:
         flown_s, indicated_K = declared_readings(record)
     except RunError:
@@ -134,18 +125,10 @@ def likeliest_shift_s(record: Record, *, step_s: float = 10.0) -> float | None:
 
 
 def _shape_error_K(
-    shift_s: float,
-    t: FloatArray,
-    read: FloatArray,
-    flown_s: FloatArray,
-    indicated: FloatArray,
-    *,
-    min_overlap: float = 0.6,
+    shift_s: float, t: FloatArray, read: FloatArray, flown_s: FloatArray, indicated: FloatArray
 ) -> float:
-    """RMS about the line of measured over shifted predicted temperatures [K]; NaN for too little overlap.
-
-    min_overlap : part of the readings that a shifted flight has to cover
-    """
+    """RMS about the line of measured over shifted predicted temperatures [K]; NaN for too little overlap."""
+    min_overlap = 0.6  # part of the readings that a shifted flight has to cover
     at = t - shift_s
     inside = (at >= flown_s[0]) & (at <= flown_s[-1])
     if np.count_nonzero(inside) < min_overlap * len(t):
@@ -198,20 +181,22 @@ def velocity_scale() -> RecordChange:
     return RecordChange("flight", text, UNKNOWNS["velocity"], changed_flight.with_velocity, _scaled(text))
 
 
-def density_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, edge_m: float = 1.0) -> RecordChange:
+def density_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE) -> RecordChange:
     """The density was another by a factor between two altitudes [m].
 
-    limits : altitudes that these may be moved in [m];  edge_m : thickness of the edges of a sharp layer [m]
+    limits : altitudes that these may be moved in [m]
     """
+    edge_m = 1.0  # thickness of the edges of a sharp layer [m]
     shape = ([low_m - edge_m, low_m, high_m, high_m + edge_m], [0.0, 1.0, 1.0, 0.0])
     return _varied("density", "density between", "", density_layer, (low_m, high_m), shape, limits)
 
 
-def smooth_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE, *, points: int = 33) -> RecordChange:
+def smooth_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE) -> RecordChange:
     """The density was another by a factor that rises and falls between two altitudes [m], as 1 - cos.
 
-    limits : altitudes that these may be moved in [m];  points : altitudes that the layer is interpolated between
+    limits : altitudes that these may be moved in [m]
     """
+    points = 33  # altitudes that the layer is interpolated between
     at = np.linspace(0.0, 1.0, points)
     shape = ((low_m + (high_m - low_m) * at).tolist(), (0.5 - 0.5 * np.cos(2.0 * np.pi * at)).tolist())
     name = "density of a smooth layer between"
@@ -274,16 +259,14 @@ def alpha_bias() -> RecordChange:
     return RecordChange("flight", text, UNKNOWNS["angle of attack"], changed_flight.with_alpha, describe)
 
 
-def alpha_smoothed(starts_s: tuple[float, float] = (5.0, 12.0)) -> RecordChange:
-    """The stated angle of attack is a mean over some seconds of the one flown.
-
-    starts_s : widths of a mean that a fit may start from [s]: without one a small width changes nothing
-    """
+def alpha_smoothed() -> RecordChange:
+    """The stated angle of attack is a mean over some seconds of the one flown."""
 
     def describe(width_s: float) -> str:
         return f"angle of attack stated as a mean over {width_s:.2g} s (standard deviation)"
 
     text = "smoothing of the angle of attack"
+    starts_s = (5.0, 12.0)  # of the width: from 0 a small one changes nothing
     return RecordChange("flight", text, UNKNOWNS["smoothing"], changed_flight.with_sharper_alpha, describe, starts_s)
 
 

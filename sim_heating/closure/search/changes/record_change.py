@@ -220,8 +220,8 @@ def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
 def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, moved: FittedChannel) -> FloatArray:
     """(sample,) by how much predictions rise more than readings do, from one channel to another [K]."""
     with np.errstate(invalid="ignore"):
-        read = [0.5 * (c.intervals.lower_K + c.intervals.upper_K) for c in (channel, moved)]
-        return np.asarray(moved_K - mean_K - np.nan_to_num(read[1] - read[0], nan=0.0))
+        risen_K = moved.intervals.centre_K - channel.intervals.centre_K
+    return np.asarray(moved_K - mean_K - np.nan_to_num(risen_K, nan=0.0))
 
 
 def _evaluate_together(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -> list[Evaluation]:
@@ -268,16 +268,14 @@ def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -
     return in_shares(of_share, len(models))
 
 
-def best_starts(
-    base: TrialFit, changes: Sequence[RecordChange], *, gross_excess: float = 10.0
-) -> list[tuple[float, _ChangedModel, FloatArray]]:
+def best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[float, _ChangedModel, FloatArray]]:
     """Gain in log likelihood that one Gauss-Newton step predicts for each change, its model, and where that starts.
 
     base    : the model that the changes are tried with
     returns : by change, gain [-], model and vector, of the best of the neutral value and its starts; a gain of minus
               infinity where the changed record cannot be marched
-    gross_excess : excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
     """
+    gross_excess = 10.0  # excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
     starts = [(k, v) for k, c in enumerate(changes) for v in dict.fromkeys((c.neutral, *c.starts))]
     # one march as declared for all changes with the same free parameters
     freed = {free: _with_free(base, free) for free in {c.free for c in changes}}
@@ -376,19 +374,18 @@ def _worth_fitting(
     return [(m, start) for gain, m, start in best.values() if m.change.near is not None or gain in leading]
 
 
-def with_own_corrections(
-    baseline: FitResult, base: TrialFit, fits: Sequence[TrialFit], *, min_excess: float = 1.0, nearly: float = 0.95
-) -> list[TrialFit]:
+def with_own_corrections(baseline: FitResult, base: TrialFit, fits: Sequence[TrialFit]) -> list[TrialFit]:
     """Fits of changes, the leading ones with the mesh correction of their own record.
 
     baseline : the declared model fitted to the whole record;  base : the same for the search, which `fits` began with
     returns  : the lowest BIC first; as given where the declared model is near the record
 
     The correction at the declared model is of another wall, or at estimates that a wrong sensor distorts.
-
-    min_excess : excess chi-square of the declared model from which on the leading changes have the mesh correction of
-        their own record; those with a parameter where they gain the part `nearly` of the best
     """
+    # excess chi-square of the declared model from which on the leading changes have the mesh correction of their own
+    # record; those with a parameter where they gain the part `nearly` of the best
+    min_excess = 1.0
+    nearly = 0.95
     if base.excess_chi2 < min_excess:
         return list(fits)
     best = min((f.delta_bic for f in fits), default=0.0)

@@ -52,16 +52,16 @@ OTHERS_MOVE = 3.0
 """Steps of its recorder that another sensor moves by while one is stuck, and the model where one is clipped."""
 
 
-def sensor_changes(base: TrialFit, *, misfit_floors: float = 2.0) -> list[RecordChange]:
+def sensor_changes(base: TrialFit) -> list[RecordChange]:
     """The changes of the sensors of a record that the model fitted to it does not rule out.
 
     base : the model, fitted to the record as declared
 
     Units, and readings that are equal for long, are seen in the readings themselves: a sensor with these is not
     examined further.
-
-    misfit_floors : RMS of the normalised residuals of a sensor from which on it may be swapped, misplaced or broken
     """
+    # RMS of the normalised residuals of a sensor from which on it may be swapped, misplaced or broken
+    misfit_floors = 2.0
     channels = base.problem.samples(base.fit.values)
     units, constant = unit_changes(base), constant_readings(base)
     seen = {name for names in units for name in names} | {name for _, name in constant}
@@ -90,7 +90,7 @@ def _rms_K(s: PredictedSamples) -> float:
 def _read_K(s: PredictedSamples) -> FloatArray:
     """(sample,) readings of a channel [K], the middle of a recorder's word; NaN at an end of its range."""
     intervals = s.channel.intervals
-    return np.asarray(np.where(intervals.is_finite, 0.5 * (intervals.lower_K + intervals.upper_K), np.nan))
+    return np.asarray(np.where(intervals.is_finite, intervals.centre_K, np.nan))
 
 
 # Swap, unit, drift, depth ---------------------------------------------------------------------------------------------
@@ -130,19 +130,11 @@ def unit_changes(base: TrialFit) -> dict[frozenset[str], list[RecordChange]]:
     return changes
 
 
-def _starts_nearer(
-    record: Record,
-    sensor: Sensor,
-    line: tuple[float, float],
-    *,
-    min_unit_error_K: float = 20.0,
-    unit_share: float = 0.25,
-) -> bool:
-    """Whether the first reading of a sensor is much nearer to the declared start in another unit.
-
-    min_unit_error_K, unit_share : least distance of the first reading from the declared start that another unit is
-        tried for [K], and the part of it that may remain with the other unit [-]
-    """
+def _starts_nearer(record: Record, sensor: Sensor, line: tuple[float, float]) -> bool:
+    """Whether the first reading of a sensor is much nearer to the declared start in another unit."""
+    # least distance of the first reading from the declared start that another unit is tried for [K], and the part of it
+    # that may remain with the other unit [-]
+    min_unit_error_K, unit_share = 20.0, 0.25
     stack, read = record.declared.stack, record.thermocouples[sensor.column]
     first = read[np.isfinite(read)][:1]
     if len(first) == 0:
@@ -178,11 +170,9 @@ def unit(base: TrialFit, sensors: Sequence[Sensor], names: str, text: str, line:
     return RecordChange("sensor", change_text, None, apply, lambda _: change_text, known_log_likelihood=scales)
 
 
-def drift(record: Record, sensor: Sensor, *, max_drift: float = 10.0) -> RecordChange:
-    """A bias that grows from the first sample on, at a rate in K/s.
-
-    max_drift : largest drift that is tried, over the usual one [-]
-    """
+def drift(record: Record, sensor: Sensor) -> RecordChange:
+    """A bias that grows from the first sample on, at a rate in K/s."""
+    max_drift = 10.0  # largest drift that is tried, over the usual one [-]
     span_s = float(np.ptp(record.time_s))
 
     def apply(stated: Record, rate_K_s: float) -> Record:
@@ -198,11 +188,10 @@ def drift(record: Record, sensor: Sensor, *, max_drift: float = 10.0) -> RecordC
     return RecordChange("sensor", f"drift of {sensor.name}", parameter, apply, describe, in_model=True)
 
 
-def depth(record: Record, sensor: Sensor, *, depth_sigma_m: float = 5e-4, farthest_m: float = 0.01) -> RecordChange:
-    """A thermocouple that is deeper than declared, or less deep, in m.
-
-    depth_sigma_m, farthest_m : usual error of the depth of a thermocouple, and the largest that is tried [m]
-    """
+def depth(record: Record, sensor: Sensor) -> RecordChange:
+    """A thermocouple that is deeper than declared, or less deep, in m."""
+    # usual error of the depth of a thermocouple, and the largest that is tried [m]
+    depth_sigma_m, farthest_m = 5e-4, 0.01
     behind_m = record.declared.stack.thickness_m - sensor.depth_m
     error_parameter = Parameter(
         "depth_error_m", "m", 0.0, depth_sigma_m, -min(sensor.depth_m, farthest_m), min(behind_m, farthest_m),
@@ -222,15 +211,14 @@ def depth(record: Record, sensor: Sensor, *, depth_sigma_m: float = 5e-4, farthe
 # Readings that are worthless ------------------------------------------------------------------------------------------
 
 
-def constant_readings(base: TrialFit, *, min_constant: int = 30) -> list[tuple[RecordChange, str]]:
+def constant_readings(base: TrialFit) -> list[tuple[RecordChange, str]]:
     """Sensors whose readings do not change for long while the declared model and another sensor do.
 
     returns : changes, and the names of the sensors whose fault is certain, else empty. A sensor may be clipped at a
               range that is not declared where these are its largest or its least readings, which is certain where they
               are equal for long; else it is stuck where they are that
-
-    min_constant : readings that are equal one after the other from which on a sensor may be stuck or clipped
     """
+    min_constant = 30  # readings that are equal one after the other from which on a sensor may be stuck or clipped
     record, changes = base.record_fit.record, list[tuple[RecordChange, str]]()
     # The fitted model may follow readings that do not change.
     try:
@@ -299,15 +287,7 @@ class ClippedReadings(NamedTuple):
     longest: IntArray
 
 
-def clipped_readings(
-    read: FloatArray,
-    sigma_K: float,
-    lsb_K: float,
-    *,
-    level_floors: float = 6.0,
-    min_length: int = 15,
-    even_sigmas: float = 5.0,
-) -> ClippedReadings | None:
+def clipped_readings(read: FloatArray, sigma_K: float, lsb_K: float) -> ClippedReadings | None:
     """The largest readings, or else the least, where they may be clipped before the noise; None where they may not.
 
     read : (reading,) readings [K], NaN where lost;  sigma_K, lsb_K : noise and word [K]
@@ -315,11 +295,10 @@ def clipped_readings(
     They are constant but for noise and rounding, in one run or in several, such as before and after a manoeuvre. The
     least ones have to be reached: before a flight a wall is at rest. A broad maximum may look the same: whether the
     model without these readings explains the others, and is beyond them here, is for the fit to say.
-
-    level_floors : noise floors that readings on one level are within
-    min_length : least length of a run that readings are clipped in
-    even_sigmas : standard deviations by which the means of thirds of a run may differ
     """
+    level_floors = 6.0  # noise floors that readings on one level are within
+    min_length = 15  # least length of a run that readings are clipped in
+    even_sigmas = 5.0  # standard deviations by which the means of thirds of a run may differ
     finite = np.flatnonzero(np.isfinite(read))
     if len(finite) < min_length:
         return None
@@ -346,15 +325,12 @@ def clipped_readings(
     return None
 
 
-def _runs_at(
-    y: FloatArray, level: float, floor_K: float, *, clipped_floors: float = 3.0, most_outliers: int = 2
-) -> list[IntArray]:
+def _runs_at(y: FloatArray, level: float, floor_K: float) -> list[IntArray]:
     """Runs of readings at a level, from the first to the last that is not below it by its noise; a few outliers do not
     end one.
-
-    clipped_floors : noise floors within which clipped readings are at the level
-    most_outliers : readings one after the other that may be outside
     """
+    clipped_floors = 3.0  # noise floors within which clipped readings are at the level
+    most_outliers = 2  # readings one after the other that may be outside
     at = np.flatnonzero(y >= level - clipped_floors * floor_K)
     runs = []
     for run in np.split(at, np.flatnonzero(np.diff(at) > most_outliers + 1) + 1):
@@ -364,16 +340,13 @@ def _runs_at(
     return runs or [at]
 
 
-def _clip(
-    base: TrialFit, s: PredictedSamples, read: FloatArray, clipped: ClippedReadings, *, fine_word: float = 0.05
-) -> RecordChange:
+def _clip(base: TrialFit, s: PredictedSamples, read: FloatArray, clipped: ClippedReadings) -> RecordChange:
     """Readings at an end of the range that is not declared: the true ones are there or beyond.
 
     Their noise is about the likeliest level. What the model has to say of them is that it is not short of it:
     the end of the recorder's range becomes the word of that level (reading_intervals).
-
-    fine_word : word of a clipped thermocouple whose recorder has none, over its noise
     """
+    fine_word = 0.05  # word of a clipped thermocouple whose recorder has none, over its noise
     sensor, which = s.channel.sensor, clipped.which
     lsb_K, bits = sensor.lsb_K or fine_word * s.sigma_K, sensor.bits or 32
     intervals = reading_intervals(sensor, read[which])
@@ -406,17 +379,16 @@ def _count(problem: FitProblem | None, sensor: Sensor, lost: BoolArray) -> int:
     return sum(int(np.count_nonzero(~np.isin(record_fit.sample_s[c.samples], at))) for c in channels)
 
 
-def broken_sensors(
-    base: TrialFit, *, max_omitted: int = 3, max_broken: int = 2, contradiction_floors: float = 2.5
-) -> list[RecordChange]:
+def broken_sensors(base: TrialFit) -> list[RecordChange]:
     """Readings that carry no information: of each sensor whose readings show it, else of two.
 
     None where some heating explains all sensors: that is a missing effect and no broken sensor.
-    max_omitted, max_broken : sensors that may be broken, those that contradict a common heating most; and how many of
-        them together, where none alone is
-    contradiction_floors : noise floors beyond which the residual of a sensor contradicts the heating that explains the
-        others
     """
+    # sensors that may be broken, those that contradict a common heating most; and how many of them together, where none
+    # alone is
+    max_omitted, max_broken = 3, 2
+    # noise floors beyond which the residual of a sensor contradicts the heating that explains the others
+    contradiction_floors = 2.5
     residual = _heating_without(base, [])
     if residual is None:
         return []
@@ -468,13 +440,9 @@ def _heating_without(base: TrialFit, names: Collection[str]) -> ResidualHeating 
         return None
 
 
-def _deviate_alike(
-    others: ResidualHeating, suspects: Sequence[SensorResidual], *, min_correlation: float = 0.5
-) -> bool:
-    """Whether two sensors deviate in the same way: a wrong wall, and not two faults.
-
-    min_correlation : correlation from which on two sensors deviate in the same way
-    """
+def _deviate_alike(others: ResidualHeating, suspects: Sequence[SensorResidual]) -> bool:
+    """Whether two sensors deviate in the same way: a wrong wall, and not two faults."""
+    min_correlation = 0.5  # correlation from which on two sensors deviate in the same way
     if len(suspects) < 2:
         return False
     a, b = suspects
@@ -482,13 +450,12 @@ def _deviate_alike(
     return bool(abs(np.corrcoef(of_a, of_b)[0, 1]) > min_correlation)
 
 
-def is_resolved(others: ResidualHeating, suspect: SensorResidual, *, max_fast_share: float = 0.25) -> bool:
+def is_resolved(others: ResidualHeating, suspect: SensorResidual) -> bool:
     """Whether a sensor deviates from the heating that others show by changes no faster than a heating may have.
 
     The deviation is nearly all in lines between times as far apart as those of the coarse history.
-
-    max_fast_share : part of the mean square of a deviation that may be faster than the history of a heating
     """
+    max_fast_share = 0.25  # part of the mean square of a deviation that may be faster than the history of a heating
     deviation_K = deviation_from(others, suspect)
     at_s = np.linspace(suspect.time_s[0], suspect.time_s[-1], MAX_COARSE_KNOTS)
     weights = interpolation_weights(suspect.time_s, at_s)
@@ -496,17 +463,14 @@ def is_resolved(others: ResidualHeating, suspect: SensorResidual, *, max_fast_sh
     return bool(np.sum(faster_K**2) < max_fast_share * np.sum(deviation_K**2))
 
 
-def is_too_rough(
-    others: ResidualHeating, suspect: SensorResidual, *, rougher: float = 3.0, least_samples: int = 8
-) -> bool:
+def is_too_rough(others: ResidualHeating, suspect: SensorResidual) -> bool:
     """Whether readings change faster than heat reaches the depth of their thermocouple.
 
     In half the time that heat takes, a temperature at that depth is nearly a parabola in time. Compared with the
     prediction, since the heating, or a layer that conducts better than declared, may bend it a little.
-
-    rougher : how much rougher than the prediction readings may be
-    least_samples : that half the time of diffusion has to hold
     """
+    rougher = 3.0  # how much rougher than the prediction readings may be
+    least_samples = 8  # that half the time of diffusion has to hold
     record, t = others.record, suspect.time_s
     span_s = 0.5 * _diffusion_time_s(record, suspect.sensor.depth_m)
     if span_s < least_samples * float(np.median(np.diff(t))):

@@ -212,12 +212,11 @@ def _material_change(layer: str, name: str, material: Material) -> RecordChange:
     return RecordChange("wall", text, None, apply, lambda _: text, form=f"another material of layer {layer}")
 
 
-def material_class(material: Material, *, insulates_W_mK: float = 0.3, conducts_W_mK: float = 5.0) -> str:
-    """Gas, and of solids insulation, metal, or other, such as a coating or an adhesive, by the conductivity.
-
-    insulates_W_mK, conducts_W_mK : conductivity below which a material is an insulation, and above which a metal or
-        carbon, in the middle of its table [W/(m K)]
-    """
+def material_class(material: Material) -> str:
+    """Gas, and of solids insulation, metal, or other, such as a coating or an adhesive, by the conductivity."""
+    # conductivity below which a material is an insulation, and above which a metal or carbon, in the middle of its
+    # table [W/(m K)]
+    insulates_W_mK, conducts_W_mK = 0.3, 5.0
     if material.kind == "gas":
         return GAS
     k = _middle_conductivity(material)

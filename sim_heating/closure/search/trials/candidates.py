@@ -95,11 +95,10 @@ def candidates(
 
     flown : its conditions over the samples that are fitted
     excluded : names of the effects in the model
-    last_resort : whether the candidates are those of last resort, and no others
+    last_resort : whether the candidates are those of last resort, and no others; none of these is left out
     """
     if last_resort:
-        chosen = (e for name, e in effects().items() if e.last_resort and name not in excluded)
-        return [c for e in chosen for c in _effect_candidates(e, record, flown)]
+        return [c for e in effects().values() if e.last_resort for c in _effect_candidates(e, record, flown)]
     flown = _with_criteria(record, flown)
     # The ratio of a point has one lag: a second effect that lags cannot be added.
     lag_taken = any(effects()[name].lags for name in excluded if name in effects())
@@ -177,12 +176,10 @@ def with_criterion(used: EffectUse, flown: Conditions) -> Conditions:
     return flown.with_columns(log10_re=flown["log10_re_theta_m"]) if by_re_theta else flown
 
 
-def _varies(variable: str, flown: Conditions, *, constant: float = 1e-3) -> bool:
-    """Whether a column of the conditions exists and varies over the fitted samples.
-
-    constant : standard deviation below which a flight condition other than the ratio variables counts as constant, in
-        its unit
-    """
+def _varies(variable: str, flown: Conditions) -> bool:
+    """Whether a column of the conditions exists and varies over the fitted samples."""
+    # standard deviation below which a flight condition other than the ratio variables counts as constant, in its unit
+    constant = 1e-3
     return variable in flown and bool(np.std(flown[variable]) > CONSTANT_BELOW.get(variable, constant))
 
 
@@ -226,7 +223,7 @@ def _candidate_at(effect: Effect, start: SearchStart, searched: Collection[str])
     limits = {p.name: (p.lower, p.upper) for p in definitions}
     used = use(effect.name, {name: _within(value, limits[name]) for name, value in start.values.items()})
     used = replace(used, declared=definitions)
-    values = dict(zip((p.name for p in effect.parameters), used.values, strict=True))
+    values = used.by_name
     prefix = f"{EFFECT_PREFIX}{effect.name}."
     first = {f"{prefix}{p}": values[p] for p in start.names}
     with_prior = tuple(f"{prefix}{p}" for p in start.names if p not in searched)
@@ -253,15 +250,12 @@ def _sensor_candidates(record: Record, effect: str, forms: Sequence[tuple[str, .
     return tried
 
 
-def _lag_candidates(
-    lag: Parameter, *, lag_sigma_s: float = 5.0, lag_starts_s: tuple[float, float] = (5.0, 20.0)
-) -> list[Candidate]:
-    """An unknown lag, from the declared one and from others; lag : its parameter, with the declared value.
-
-    lag_starts_s : time constants that a lag is searched from besides the declared one [s], and the prior that keeps a
-        step within reason: a badly attached junction may lag by tens of seconds, and what a lag changes is far from
-        linear in it
-    """
+def _lag_candidates(lag: Parameter) -> list[Candidate]:
+    """An unknown lag, from the declared one and from others; lag : its parameter, with the declared value."""
+    lag_sigma_s = 5.0
+    # time constants that a lag is searched from besides the declared one [s], and the prior that keeps a step within
+    # reason: a badly attached junction may lag by tens of seconds, and what a lag changes is far from linear in it
+    lag_starts_s = (5.0, 20.0)
     names, priors = (lag.name,), {lag.name: replace(lag, sigma=lag_sigma_s)}
     starts = (lag.value, *(start for start in lag_starts_s if start > lag.value))
     return [Candidate(LAG_EFFECT, (), names, {lag.name: start}, names, names, priors) for start in starts]

@@ -62,13 +62,13 @@ class HeatingHistory:
         return EffectAlong(used, self.rows, self.wall_K)
 
 
-def heating_history(base: TrialFit, neutral: Candidate, *, smoothing_error: float = 0.03) -> HeatingHistory | None:
+def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None:
     """The heating history of a record, as a model with one effect at its neutral values sees it.
 
     base    : the declared model;  neutral : a candidate that has no effect at its start
     returns : None where the model cannot be marched, has no tabulated heating, or none that is fitted
-    smoothing_error : error of a smoothed history where heating jumps, over the heating itself [-]
     """
+    smoothing_error = 0.03  # error of a smoothed history where heating jumps, over the heating itself [-]
     parameters = tuple(p for p in base.problem.parameters if p.name in FITTED)
     if not parameters:
         return None
@@ -123,7 +123,7 @@ def _is_suitable(c: Candidate) -> bool:
     if len(c.uses) != 1 or c.uses[0].effect.mode not in ("multiply", "add") or c.uses[0].effect.lags:
         return False
     used = c.uses[0]
-    values = dict(zip((p.name for p in used.effect.parameters), used.values, strict=True))
+    values = used.by_name
     magnitudes = {n.rpartition(".")[2] for n in c.active}
     return (
         0 < len(magnitudes) < len(c.names)
@@ -133,13 +133,9 @@ def _is_suitable(c: Candidate) -> bool:
     )
 
 
-def _best_starts(
-    history: HeatingHistory, of_form: Sequence[Candidate], *, most_solved: int = 4
-) -> list[tuple[int, dict[str, float]]]:
-    """Indices of the candidates of one form that fit the history best, with the starts that do.
-
-    most_solved : starts of a form from which the least-squares problem is solved
-    """
+def _best_starts(history: HeatingHistory, of_form: Sequence[Candidate]) -> list[tuple[int, dict[str, float]]]:
+    """Indices of the candidates of one form that fit the history best, with the starts that do."""
+    most_solved = 4  # starts of a form from which the least-squares problem is solved
     misfits = [_linear_misfit(history, c) for c in of_form]
     linear = sorted(range(len(of_form)), key=lambda k: misfits[k])[:most_solved]
     solved = sorted(((*_solved(history, of_form[k]), k) for k in linear), key=lambda s: s[0])
@@ -171,13 +167,11 @@ def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:
     return float(np.sum((right - system @ step) ** 2))
 
 
-def _solved(
-    history: HeatingHistory, c: Candidate, *, evaluations: int = 60, step: float = 2.0**-26
-) -> tuple[float, dict[str, float]]:
-    """Misfit and values of the parameters at the solution of the least-squares problem from a candidate's start.
-
-    step : step of a difference against a parameter of an effect, over its sigma or its value [-]: root of the rounding
-    """
+def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, dict[str, float]]:
+    """Misfit and values of the parameters at the solution of the least-squares problem from a candidate's start."""
+    evaluations = 60
+    # step of a difference against a parameter of an effect, over its sigma or its value [-]: root of the rounding
+    step = 2.0**-26
     used = c.uses[0]
     definitions = {f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": p for p in used.definitions}
     free = [definitions[n] for n in c.names]

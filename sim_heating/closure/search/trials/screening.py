@@ -77,16 +77,15 @@ def _predicted_gains(
     return gains
 
 
-def gains_from(base: TrialFit, candidates: Sequence[Candidate], *, tie: float = 1e-6) -> list[float]:
+def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
     """Gain in log likelihood that one Gauss-Newton step predicts from starts where candidates have an effect already.
 
     returns : minus infinity where the model cannot be marched there
 
     The gain that the start has made already counts, where it is more; of starts that promise the same, those that have
     gained most come first.
-
-    tie : weight of the gain that a start has made already where several promise the same
     """
+    tie = 1e-6  # weight of the gain that a start has made already where several promise the same
     problems = [problem_with(base, c) for c in candidates]
     firsts = [start_values(p, {**fitted_values(base), **c.start}) for p, c in zip(problems, candidates, strict=True)]
     limit, gains = _largest_gain(base), []
@@ -127,7 +126,7 @@ def _largest_gain(base: TrialFit) -> float:
     largest = 0.0
     for s in base.problem.samples(base.fit.values):
         readings = s.channel.intervals
-        middle = np.where(readings.is_finite, 0.5 * (readings.lower_K + readings.upper_K), s.mean_K)
+        middle = np.where(readings.is_finite, readings.centre_K, s.mean_K)
         largest += float(np.sum(likelihood(readings, middle, s.spread_K).log_likelihood))
     return max(largest - base.fit.log_likelihood, 0.0) + POLICY.gain_margin
 
@@ -229,8 +228,6 @@ def fit_in_stages(
     reached: float,
     *,
     by_effect: bool = False,
-    fractions: tuple[float, float, float] = (0.9, 0.5, 0.8),
-    min_predicted: float = 0.8,
 ) -> list[TrialFit]:
     """Fit all candidates a few steps, the promising ones further, and to the end those that can still be the best.
 
@@ -239,10 +236,11 @@ def fit_in_stages(
     reached   : log likelihood that gains are over: of the likeliest base
     by_effect : whether the best fit of each effect goes on with half the gain of the best of all
     returns   : by candidate, its trial, without samples held out
-    fractions : of the best gain, that a candidate has to have reached to enter each stage after the first
-    min_predicted : a candidate also enters the second stage with a gain, predicted at its start, of this part of the
-        best
     """
+    # of the best gain, that a candidate has to have reached to enter each stage after the first
+    fractions = (0.9, 0.5, 0.8)
+    # a candidate also enters the second stage with a gain, predicted at its start, of this part of the best
+    min_predicted = 0.8
     problems = [problem_with(b, c) for b, c in zip(bases, candidates, strict=True)]
     starts = [{**fitted_values(b), **c.start} for b, c in zip(bases, candidates, strict=True)]
     names = [c.name for c in candidates] if by_effect else []

@@ -294,15 +294,7 @@ def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResul
     return replace(fit, not_estimated=fit.not_estimated | excluded)
 
 
-def base_trial(
-    baseline: FitResult,
-    *,
-    is_clock_free: bool = False,
-    chi2_rounds: int = 3,
-    chi2_change: float = 1.2,
-    node_fraction: float = 1.0 / 3.0,
-    min_nodes: int = 14,
-) -> TrialFit:
+def base_trial(baseline: FitResult, *, is_clock_free: bool = False) -> TrialFit:
     """The declared model with its magnitude and derivatives, and a clock that may be slightly off.
 
     Magnitude and derivatives have the prior of the declared table, as wide as it is. The base has the largest
@@ -315,12 +307,12 @@ def base_trial(
 
     is_clock_free : whether the clock of a flight whose time is not known to SKEW_SPAN_S may be off by as much. It is
         where it would otherwise be on its bound
-    chi2_rounds, chi2_change : most fits of the base with the reduced chi-square of the one before, and the factor by
-        which it has to grow for another
-
-    node_fraction : nodes of the search over those of a fit
-    min_nodes : least number of nodes of the search
     """
+    # most fits of the base with the reduced chi-square of the one before, and the factor by which it has to grow for
+    # another
+    chi2_rounds, chi2_change = 3, 1.2
+    node_fraction = 1.0 / 3.0  # nodes of the search over those of a fit
+    min_nodes = 14  # least number of nodes of the search
     stated = baseline.problem.record_fits[0]
     prior = table_prior(stated.record, stated.names, baseline.problem.reference)
     priors = {} if prior is None else prior.parameters()
@@ -645,12 +637,11 @@ def thin_record(record: Record, nodes: int) -> Record:
     return replace(record, declared=declared, conditions=record.conditions.at(flown.time_s[thinned_indices(flown)]))
 
 
-def thinned_indices(flown: Conditions, *, heating_tolerance: float = 0.002) -> NDArray[np.int64]:
-    """(kept,) indices of the samples that are kept, first and last included.
-
-    heating_tolerance : the largest distance that an omitted sample's heating of a cold wall has from that line, over
-        the largest heating of the flight
-    """
+def thinned_indices(flown: Conditions) -> NDArray[np.int64]:
+    """(kept,) indices of the samples that are kept, first and last included."""
+    # the largest distance that an omitted sample's heating of a cold wall has from that line, over the largest heating
+    # of the flight
+    heating_tolerance = 0.002
     t = flown.time_s
     heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     if "q_add_W_m2" in flown:
