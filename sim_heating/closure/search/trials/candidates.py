@@ -95,10 +95,11 @@ def candidates(
 
     flown : its conditions over the samples that are fitted
     excluded : names of the effects in the model
-    last_resort : whether the candidates are those of last resort, and no others; none of these is left out
+    last_resort : whether the candidates are those of last resort, and no others
     """
     if last_resort:
-        return [c for e in effects().values() if e.last_resort for c in _effect_candidates(e, record, flown)]
+        chosen = (e for name, e in effects().items() if e.last_resort and name not in excluded)
+        return [c for e in chosen for c in _effect_candidates(e, record, flown)]
     flown = _with_criteria(record, flown)
     # The ratio of a point has one lag: a second effect that lags cannot be added.
     lag_taken = any(effects()[name].lags for name in excluded if name in effects())
