@@ -13,10 +13,9 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from itertools import chain
 from typing import Any, TypeVar
 
 from sim_heating.base.errors import InputError, RunError
@@ -26,7 +25,6 @@ from sim_heating.base.progress import Progress, no_progress
 R = TypeVar("R")
 SAID, DONE, FAILED = "said", "done", "failed"
 """What a copy sends: progress, its result, its error."""
-NUMBER_BYTES = 4
 TURNS, LEAST_TOGETHER = 2, 2
 """How often a process takes numbers to work at together, and how many it takes at least."""
 PROGRESS = "rich."
@@ -36,8 +34,8 @@ PROGRESS = "rich."
 def in_processes(tasks: Sequence[Callable[[], R]]) -> list[R]:
     """Results of tasks, in their order, with the tasks shared out to this process and to copies of it.
 
-    tasks : picklable results; they change nothing that this process needs. A process that is done with one takes the
-            next, so the longest should come first. An InputError or RunError in a copy is raised here; what fails
+    tasks : picklable results; they change nothing that this process needs. They are dealt out in turn, so that tasks
+            next to each other should take alike long. An InputError or RunError in a copy is raised here; what fails
             otherwise or warns is done again here, where its error or warning is seen
 
     Each process marches in one thread. On other systems than Linux, and beside threads that may hold locks, all is done
@@ -47,22 +45,22 @@ def in_processes(tasks: Sequence[Callable[[], R]]) -> list[R]:
 
 
 def in_turn(task: Callable[[Iterator[int], int], Mapping[int, R]], count: int) -> list[R]:
-    """Results number 0 to count - 1, in their order; this process and copies of it take one number after another.
+    """Results number 0 to count - 1, in their order; numbers are dealt out in turn to this process and copies of it.
 
     task  : results, by number, of all numbers that it takes from an iterator; otherwise a task of `in_processes`. Its
-            second argument is how many to work at in one batch: a larger one would idle the other processes
+            second argument is how many to work at in one batch
     count : number of results
+
+    What is worked at together sets last digits: numbers dealt out by who is done first would be others every time.
     """
     shares = _processes_for(count)
     if shares == 1:
         by_number = dict(task(iter(range(count)), count))
     else:
         batch = max(LEAST_TOGETHER, -(-count // (TURNS * shares)))
-        with march_threads(1), _Numbers(range(shares, count)) as remaining:
-            parts = _in_copies([partial(task, chain([k], remaining), batch) for k in range(shares)])
-            by_number = {k: result for results in parts for k, result in results.items()}
-            # what a copy had taken that failed
-            by_number.update(task((k for k in range(count) if k not in by_number), batch))
+        with march_threads(1):
+            parts = _in_copies([partial(task, iter(range(k, count, shares)), batch) for k in range(shares)])
+        by_number = {k: result for results in parts for k, result in results.items()}
     return [by_number[k] for k in range(count)]
 
 
@@ -117,29 +115,6 @@ def _in_copies(tasks: Sequence[Callable[[], R]]) -> list[R]:
 
 def _alone(task: Callable[[], R], _progress: Progress) -> R:
     return task()
-
-
-class _Numbers:
-    """Numbers that this process and its copies take one after another, each number once.
-
-    They stand in a file in memory, whose position the processes share.
-    """
-
-    def __init__(self, numbers: Iterable[int]) -> None:
-        self._file = os.memfd_create("numbers")
-        with os.fdopen(os.dup(self._file), "wb") as file:
-            file.write(b"".join(k.to_bytes(NUMBER_BYTES, sys.byteorder) for k in numbers))
-        os.lseek(self._file, 0, os.SEEK_SET)
-
-    def __iter__(self) -> Iterator[int]:
-        while number := os.read(self._file, NUMBER_BYTES):
-            yield int.from_bytes(number, sys.byteorder)
-
-    def __enter__(self) -> _Numbers:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        os.close(self._file)
 
 
 def _can_be_copied() -> bool:
