@@ -113,7 +113,7 @@ def maximise_together(
     settings_of = settings if isinstance(settings, Sequence) else [settings] * len(problems)
     # of all problems first: a prior that is invalid is reported before any work
     every = [iteration(p.parameters, first, s) for p, first, s in zip(problems, begin, settings_of, strict=True)]
-    # the richest first, as they mostly take the most steps: a long fit that begins last has a process for itself
+    # the richest first, as they mostly take the most steps: dealt out in turn, each process has its part of these
     order = sorted(range(len(problems)), key=lambda k: -len(problems[k].parameters))
     richest, searches = [problems[k] for k in order], [every[k] for k in order]
 

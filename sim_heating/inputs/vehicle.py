@@ -285,6 +285,27 @@ def upstream_point(vehicle: Vehicle, point: ControlPoint) -> ControlPoint | None
     return point.wall_upstream or vehicle.control_point(interface.upstream)
 
 
+def walls_upstream(vehicle: Vehicle, points: Sequence[ControlPoint]) -> list[ControlPoint]:
+    """Control points upstream of the interfaces of others, which are not among these, nearest first."""
+    marched: set[str] = {p.name for p in points}
+    added: list[ControlPoint] = []
+    waiting = list(points)
+    while waiting:
+        upstream = upstream_point(vehicle, waiting.pop(0))
+        if upstream is not None and upstream.name not in marched:
+            marched.add(upstream.name)
+            added.append(upstream)
+            waiting.append(upstream)
+    return added
+
+
+def numbers_upstream(vehicle: Vehicle, points: Sequence[ControlPoint]) -> dict[int, int]:
+    """Number of each control point behind an interface -> that of the wall upstream of it, one of the points too."""
+    number = {point.name: i for i, point in enumerate(points)}
+    upstream = [upstream_point(vehicle, point) for point in points]
+    return {i: number[wall.name] for i, wall in enumerate(upstream) if wall is not None}
+
+
 def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
     """The directory of a vehicle.
 

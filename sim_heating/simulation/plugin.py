@@ -32,7 +32,7 @@ from sim_heating.heating.effects.compiled import unusable_value
 from sim_heating.heating.reference.models import reference_model
 from sim_heating.heating.surroundings import ground_view
 from sim_heating.inputs.points import point_of_vehicle, wall_enthalpy_code, wall_enthalpy_of
-from sim_heating.inputs.vehicle import ControlPoint, Vehicle, upstream_point
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle, numbers_upstream, walls_upstream
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import pack
 from sim_heating.simulation import plugin_kernel as k
@@ -149,11 +149,7 @@ class HeatingPlugin:
         models = [point_of_vehicle(vehicle, p, parameters, (effects or {}).get(p.name, ())) for p in stepped]
         if nodes is not None:
             models = [replace(model, nodes=nodes) for model in models]
-        number = {p.name: i for i, p in enumerate(stepped)}
-        behind = {
-            i: number[p.declared.interface.upstream] for i, p in enumerate(stepped) if p.declared.interface is not None
-        }
-        self.ensemble = e = pack(models, longest_step_s, behind=behind)
+        self.ensemble = e = pack(models, longest_step_s, behind=numbers_upstream(vehicle, stepped))
         self.constants = point_constants(vehicle, stepped)
         place_upstream_walls(self.constants.numbers, stepped, e)
         self._host = host_array(vehicle, longest_step_s, longest_wait_s)
@@ -373,20 +369,6 @@ def point_constants(vehicle: Vehicle, points: Sequence[ControlPoint]) -> k.Point
     rows = zip(pressures, lengths, flows, strict=True)
     numbers = np.array([[*p, x, *flow, NO_WALL, cp, ground_view(p[0], p[1])] for p, x, flow in rows])
     return k.PointConstants(numbers, tables)
-
-
-def walls_upstream(vehicle: Vehicle, points: Sequence[ControlPoint]) -> list[ControlPoint]:
-    """Control points upstream of the interfaces of others, which are not among these, nearest first."""
-    marched: set[str] = {p.name for p in points}
-    added: list[ControlPoint] = []
-    waiting = list(points)
-    while waiting:
-        upstream = upstream_point(vehicle, waiting.pop(0))
-        if upstream is not None and upstream.name not in marched:
-            marched.add(upstream.name)
-            added.append(upstream)
-            waiting.append(upstream)
-    return added
 
 
 def place_upstream_walls(numbers: FloatArray, points: Sequence[ControlPoint], ensemble: Ensemble) -> None:

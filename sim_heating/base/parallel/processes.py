@@ -70,12 +70,12 @@ def in_shares(task: Callable[[Sequence[int]], Sequence[R]], count: int) -> list[
     task  : results of some of the numbers, in the order of these; otherwise a task of `in_processes`
     count : number of results
     """
-    shares = _processes_for(count)
-    if shares == 1:
-        return list(task(range(count)))
-    with march_threads(1):
-        by_copy = _in_copies([partial(task, range(k, count, shares)) for k in range(shares)])
-    return [by_copy[i % shares][i // shares] for i in range(count)]
+
+    def of_share(numbers: Iterator[int], _: int) -> dict[int, R]:
+        share = list(numbers)
+        return dict(zip(share, task(share), strict=True))
+
+    return in_turn(of_share, count)
 
 
 def in_copy(task: Callable[[Progress], R], meanwhile: Callable[[], object], progress: Progress) -> R:

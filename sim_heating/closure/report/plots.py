@@ -17,7 +17,7 @@ from sim_heating.base.report.page import Picture
 from sim_heating.closure.clues.correlation import ResidualEvidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.clues.shapes import TIME
-from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, fit_figure, shade_holdout
+from sim_heating.estimation.report.plots import AFTER, BEFORE, FITTED, fit_chart, fit_figure, shade_holdout
 from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.report.charts import flown_panels, record_spans, shades
 
@@ -54,7 +54,7 @@ def _compared(
     predicted: Prediction | None, declared: Prediction, final: Prediction, effect: str
 ) -> list[tuple[Prediction, str, str]]:
     curves = [] if predicted is None else [(predicted, PREDICTED, "declared model")]
-    curves.append((declared, BEFORE, "declared model fitted"))
+    curves.append((declared, BEFORE, FITTED))
     if final is not declared:
         curves.append((final, AFTER, f"with {effect}"))
     return curves
@@ -62,9 +62,7 @@ def _compared(
 
 def heating_chart(declared: ResidualHeating, final: ResidualHeating | None, evidence: ResidualEvidence) -> Chart:
     """The residual as heating against time with its band, and the flight; `heating_figure` is the picture."""
-    shown = [(declared, BEFORE, "declared model fitted")] + (
-        [] if final is None else [(final, AFTER, "with the effect")]
-    )
+    shown = [(declared, BEFORE, FITTED)] + ([] if final is None else [(final, AFTER, "with the effect")])
     curves = [Curve(label, r.time_s, r.delta_ratio, color, sigma=r.sigma) for r, color, label in shown]
     limits = np.array([_limits(r) for r, _, _ in shown])
     missing = Panel(
@@ -88,7 +86,7 @@ def heating_figure(declared: ResidualHeating, final: ResidualHeating | None, evi
         figure, axes = new_figure(9.5, 4.0, 1)
     limits = np.array([_limits(residual) for residual in filter(None, (declared, final))])
     axes[0].set_ylim(limits[:, 0].min(), limits[:, 1].max())
-    _band(axes[0], declared, BEFORE, "declared model fitted")
+    _band(axes[0], declared, BEFORE, FITTED)
     if final is not None:
         _band(axes[0], final, AFTER, "with the effect")
     axes[0].axhline(0.0, color="0.3", linewidth=0.8)

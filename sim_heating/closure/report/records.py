@@ -32,7 +32,7 @@ from sim_heating.closure.search.joint_model import RECORD
 from sim_heating.closure.search.trials.told_error import flight_as_json
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
-from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, shade_holdout
+from sim_heating.estimation.report.plots import AFTER, BEFORE, FITTED, fit_chart, shade_holdout
 from sim_heating.simulation.predict import Prediction
 
 # Files ----------------------------------------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ def _residuals_section(joint: JointClosure) -> Section:
 
 def _curves(joint: JointClosure, closure: Closure, prediction: Prediction) -> list[tuple[Prediction, str, str]]:
     """What a record is compared with: prediction, colour and words of each."""
-    curves = [(closure.before, BEFORE, "declared model fitted")]
+    curves = [(closure.before, BEFORE, FITTED)]
     cause = " + ".join(joint.search.compared.names)
     return curves if prediction is closure.before else [*curves, (prediction, AFTER, f"with {cause}")]
 

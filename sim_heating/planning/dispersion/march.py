@@ -29,7 +29,7 @@ from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.lookup import VARIABLES
 from sim_heating.inputs.points import point_of_vehicle
-from sim_heating.inputs.vehicle import ControlPoint, Vehicle, upstream_point
+from sim_heating.inputs.vehicle import Vehicle, numbers_upstream, walls_upstream
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import TOLERANCE_K, choose_meshes
 from sim_heating.march.point import PointModel, heating_vector, kernel_effects, stack_values
@@ -43,7 +43,7 @@ from sim_heating.planning.dispersion.flight import (
 )
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.soak import SOAK
-from sim_heating.simulation.plugin import host_array, point_constants, walls_upstream
+from sim_heating.simulation.plugin import host_array, point_constants
 from sim_heating.simulation.plugin_kernel import UPSTREAM_CP
 from sim_heating.thermal.mesh import Mesh
 
@@ -124,7 +124,7 @@ class LaneMarch:
         of_walls = [_without_sensors(point_of_vehicle(vehicle, wall)) for wall in walls]
         self.models, self.stepped = list(models), [*models, *of_walls]
         meshes = [*meshes, *(mesh for mesh, _ in choose_meshes(of_walls, step_s))]
-        self._upstream = _numbers_upstream(vehicle, [*limited, *walls])
+        self._behind = numbers_upstream(vehicle, [*limited, *walls])
         # Each lane has a copy of the ratio table, whose nodes are written before every march.
         lanes = [_with_own_table(m) for m in self.stepped for _ in range(LANES)]
         # Packed once for the whole study; every march restores the initial state and writes what is dispersed.
@@ -246,8 +246,9 @@ class LaneMarch:
         returns : for each point (time, 2 LANES) temperatures [K]: surface and bondline of the first lane, of the second
         """
         flights, marched = np.arange(LANES), dict[int, FloatArray]()
-        for p in TopologicalSorter(self._upstream).static_order():
-            for wall in self._upstream[p]:
+        before = {p: {self._behind[p]} if p in self._behind else set[int]() for p in range(len(self.stepped))}
+        for p in TopologicalSorter(before).static_order():
+            for wall in before[p]:
                 upstream_wall_kernel(marched[wall], self.constants.numbers[p, UPSTREAM_CP], histories[p])
             group, outputs = self._groups[p], self._outputs[p]
             marched[p] = self.ensemble.march_lanes(group, time_s, histories[p], flights, SOAK_STEP_S, outputs)
@@ -312,10 +313,3 @@ def model_without_sensors(vehicle: Vehicle, limited: LimitedPoint, effects: Sequ
 
 def _without_sensors(model: PointModel) -> PointModel:
     return replace(model, depths_m=(), lags_s=(), nodes=None)
-
-
-def _numbers_upstream(vehicle: Vehicle, points: Sequence[ControlPoint]) -> dict[int, list[int]]:
-    """Number of each point -> that of the wall upstream of its interface; none for a point without one."""
-    number = {point.name: i for i, point in enumerate(points)}
-    upstream = [upstream_point(vehicle, point) for point in points]
-    return {i: [] if wall is None else [number[wall.name]] for i, wall in enumerate(upstream)}

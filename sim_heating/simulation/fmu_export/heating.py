@@ -56,7 +56,7 @@ from sim_heating.heating.effects.compiled import (
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.models import COLUMNS, recovery_name
 from sim_heating.inputs.sensor_model import calibration_coefficients
-from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle, walls_upstream
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel, elements_of, kernel_effects, stack_values
 from sim_heating.simulation.fmu_export import heating_kernel as k
@@ -76,7 +76,7 @@ from sim_heating.simulation.fmu_export.parts.library import (
     wrapper_objects,
 )
 from sim_heating.simulation.fmu_export.parts.packer import ImagePacker, Input
-from sim_heating.simulation.plugin import HeatingPlugin, walls_upstream
+from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.plugin_kernel import BY_ALTITUDE, FLOW_AT, SWEEP
 from sim_heating.thermal.frame import compiled
 from sim_heating.thermal.mesh import Mesh
