@@ -19,7 +19,7 @@ normal distributions.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -426,14 +426,26 @@ def members_of_point(members: Sequence[Member], name: str) -> list[Member]:
     return [m if m.estimate is None or is_of_point(m.estimate) else Member(None, m.weight) for m in members]
 
 
-def _require_points(members: Sequence[Member], names: Sequence[str]) -> None:
-    """raises : InputError for an estimate that is of none of some control points"""
-    for m in members:
-        at_points = [of_point for name in names for of_point in members_of_point([m], name)]
-        if m.estimate is not None and all(of_point.estimate is None for of_point in at_points):
-            owners = {m.estimate.control_point or label.partition(AT)[2] for label in m.estimate.parameters}
-            hint = suggestion(min(owners), names, otherwise=f"; points of the run: {first_of(names, SHOWN)}")
-            raise InputError(f"{m.source}: is of no control point of the run, but of `{min(owners)}`{hint}")
+def require_points(members: Sequence[Member], names: Sequence[str], of_vehicle: Collection[str]) -> None:
+    """Check the control points that estimates are of, by name: those of a run or a study, and all of the vehicle.
+
+    raises : InputError with the member's file for an estimate of none of the run's points, or for a prior of a point
+             that the vehicle does not have; parameters of a fit may also be of its records
+    """
+    for m in (m for m in members if m.estimate is not None):
+        of_points = {label.partition(AT)[2] for label in m.estimate.parameters}
+        of_points = {m.estimate.control_point} if m.estimate.control_point else of_points
+        absent = sorted(of_points - {"", *of_vehicle}) if m.considered is None else []
+        if absent:
+            raise InputError(f"{m.source}: the vehicle has no control point `{absent[0]}`{_hint(absent[0], names)}")
+        if not {"", *names} & of_points:
+            other = min(of_points)
+            raise InputError(f"{m.source}: is of no control point of the run, but of `{other}`{_hint(other, names)}")
+
+
+def _hint(name: str, names: Sequence[str]) -> str:
+    """The control point that was probably meant, else those that there are."""
+    return suggestion(name, names, otherwise=f"; points of the run: {first_of(names, SHOWN)}")
 
 
 def with_bands(result: RunResult, members: Sequence[Member] = DECLARED) -> RunResult:
@@ -442,7 +454,7 @@ def with_bands(result: RunResult, members: Sequence[Member] = DECLARED) -> RunRe
     An estimate acts at its control point alone; the temperatures of the run stay those of the declared model.
     raises : InputError for a member that is of none of the control points
     """
-    _require_points(members, list(result.points))
+    require_points(members, list(result.points), result.scenario.vehicle.control_points)
     step_s = result.scenario.declared.heating.longest_step_s
     points = {}
     for name, point in result.points.items():

@@ -30,13 +30,13 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml, roots_of
 from sim_heating.estimation.report.estimate_file import estimate_path
 from sim_heating.heating.effects import add_user_effects
 from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, make_scenario
 from sim_heating.inputs.vehicle import Vehicle, add_vehicle_files, load_vehicle, vehicle_place
-from sim_heating.planning.bands import DECLARED, Member, read_member
+from sim_heating.planning.bands import DECLARED, Member, read_member, require_points
 from sim_heating.planning.dispersion.spec import Dispersion
 from sim_heating.planning.envelope.spec import Envelope, NextFlight
 from sim_heating.planning.limited_point import LimitedPoint
@@ -141,12 +141,8 @@ class Study:
         members = []
         for i, (path, stated) in enumerate(zip(self.estimates[table], declared.member, strict=True), 1):
             member = read_member(path, stated.weight, self.root)
-            point = member.estimate.control_point if member.estimate else None
-            if point is not None and point not in self.base.names:
-                raise InputError(
-                    f"{display_path(self.path)}, [[{table}.member]] {i}: `estimate`: {display_path(path)} is of "
-                    f"{point}, which is not among the study's control points; add it there"
-                )
+            with error_context(f"{display_path(self.path)}, [[{table}.member]] {i}"):
+                require_points([member], self.base.names, self.vehicle.control_points)
             members.append(member)
         return tuple(members) or DECLARED
 

@@ -210,11 +210,12 @@ def test_a_parameter_that_the_point_of_a_record_lacks_is_named_with_the_members_
         predict_with_band(load_record(P06), [read_member(tmp_path / "aged.toml")])
 
 
-def test_a_member_of_no_control_point_of_a_run_is_refused(tmp_path):
-    """Its name is misspelt, and the bands would be those of the declared model."""
-    (tmp_path / "aged.toml").write_text(f'[prior]\n"{EMITTANCE}@NOZE" = [0.9, 0.01]\n')
+@pytest.mark.parametrize("others", ["", f'"{EMITTANCE}@FACE" = [0.9, 0.01]\n'], ids=["alone", "among others"])
+def test_a_prior_of_a_misspelt_control_point_is_refused(tmp_path, others):
+    """The bands would be those of the declared model."""
+    (tmp_path / "aged.toml").write_text(f'[prior]\n"{EMITTANCE}@FACES" = [0.9, 0.01]\n{others}')
     flown = run(load_scenario(SCENARIOS / "capsule.toml"))
-    with pytest.raises(InputError, match=r"aged\.toml: is of no control point of the run, but of `NOZE`"):
+    with pytest.raises(InputError, match=r"aged\.toml: the vehicle has no control point `FACES`; did you mean `FACE`\?"):
         with_bands(flown, [read_member(tmp_path / "aged.toml")])
 
 

@@ -1397,7 +1397,7 @@ def test_minutes_and_seconds_go_on_over_the_hour() -> None:
     rows("Time,TC (C)", [f"{(59 + (50 + 2 * i) // 60) % 60:02d}:{(50 + 2 * i) % 60:02d}.5,{20 + i}" for i in range(9)])
     read = read_measured_csv(Path("t.csv"))
     assert span_s(read) == 16.0
-    assert read.notes == ("`Time` passes the hour 1 times: an hour is added at each",)
+    assert read.notes == ("`Time` passes the hour once: an hour is added there",)
 
 
 @pytest.mark.parametrize("blank", ["\u00a0", "\u202f"])

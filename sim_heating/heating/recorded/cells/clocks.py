@@ -464,4 +464,5 @@ def over_midnight(clock: Clock) -> tuple[FloatArray, str]:
     wraps = np.concatenate(([0], np.cumsum(np.diff(seconds[finite]) < -0.5 * period)))
     unwrapped[finite] += period * wraps
     passed, added = ("the hour", "an hour") if has_no_hours else ("midnight", "a day")
-    return unwrapped, f"passes {passed} {wraps[-1]} times: {added} is added at each" if wraps[-1] else ""
+    often = "once: {} is added there" if wraps[-1] == 1 else f"{wraps[-1]} times: {{}} is added at each"
+    return unwrapped, f"passes {passed} {often.format(added)}" if wraps[-1] else ""
