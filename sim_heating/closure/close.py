@@ -54,7 +54,7 @@ COMMAND = "close-loop"
 """Name under which its results are listed."""
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
-REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=trial_fit.QUICK.trust_radius)
+REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=30, trust_radius=trial_fit.QUICK.trust_radius)
 """Convergence of the last fit: far within its bounds; no step is longer than those of the search."""
 
 

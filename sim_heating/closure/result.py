@@ -258,12 +258,11 @@ class Statement:
     def _adequacy_in_words(self, adequacy: Adequacy) -> str:
         """What a model does to the record."""
         p = f"p-value {p_value_text(adequacy.p_value)}"
+        if adequacy.noise_scale > 1.0:
+            return f"leaves noise alone, {adequacy.noise_scale:.2f} times as large as declared ({p} with that noise)"
         if adequacy.p_value >= POLICY.adequate_p:
             error = "" if self.model_error is None else " and the model's own error"
             return f"explains the record to its noise{error} ({p})"
-        if adequacy.unstructured:
-            times = math.sqrt(adequacy.chi2_fit)
-            return f"leaves noise alone, {times:.2f} times as large as declared ({p})"
         parts = {f"at sensor {n}": v for n, v in adequacy.by_sensor.items()}
         parts |= {f"from {n}": v for n, v in adequacy.by_phase.items()}
         worst = max(parts, key=lambda n: parts[n], default="")

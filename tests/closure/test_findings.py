@@ -98,7 +98,7 @@ def test_the_true_model_is_adequate_and_a_model_without_the_effect_is_not() -> N
     assert true.chi2_fit == pytest.approx(1.0, abs=0.1)
     assert abs(true.lag1) < 0.1
     assert without.p_value < 1e-3
-    assert not without.unstructured
+    assert without.noise_scale == 1.0
     assert max(without.by_phase.values()) > 2.0 > max(true.by_phase.values())
 
 
@@ -132,9 +132,10 @@ def test_white_noise_above_the_declared_one_has_no_structure_and_a_slow_error_of
     rng = np.random.default_rng(3)
     noisier = [replace(s, mean_K=s.mean_K + rng.normal(0.0, 2.0 * s.sigma_K, len(s.mean_K))) for s in samples]
     slow = [replace(s, mean_K=s.mean_K + 2.8 * s.sigma_K * np.sin(s.time_s / 40.0)) for s in samples]
-    assert assess(noisier).unstructured
-    assert not assess(slow).unstructured
-    assert assess(noisier).p_value < 1e-3
+    assert assess(noisier).noise_scale == pytest.approx(np.sqrt(5.0), rel=0.1)
+    assert assess(noisier).p_value > POLICY.adequate_p
+    assert p_value(assess(noisier).statistic) < 1e-3
+    assert assess(slow).noise_scale == 1.0
     assert assess(slow).p_value < 1e-3
 
 

@@ -202,7 +202,7 @@ def test_a_probability_says_whether_records_of_its_kind_are_in_its_calibration()
     ],
 )
 def test_a_p_value_is_told_from_the_level_that_judges_it(p: float, text: str):
-    adequacy = replace(FOUND_ONSET.adequacy, p_value=p, unstructured=False)
+    adequacy = replace(FOUND_ONSET.adequacy, p_value=p)
     assert text in replace(FOUND_ONSET, adequacy=adequacy).certainty()
     row = summary_row(closed()) | {"p_value": p}
     table = closures_table([row])

@@ -215,7 +215,9 @@ def test_a_prior_of_a_misspelt_control_point_is_refused(tmp_path, others):
     """The bands would be those of the declared model."""
     (tmp_path / "aged.toml").write_text(f'[prior]\n"{EMITTANCE}@FACES" = [0.9, 0.01]\n{others}')
     flown = run(load_scenario(SCENARIOS / "capsule.toml"))
-    with pytest.raises(InputError, match=r"aged\.toml: the vehicle has no control point `FACES`; did you mean `FACE`\?"):
+    with pytest.raises(
+        InputError, match=r"aged\.toml: the vehicle has no control point `FACES`; did you mean `FACE`\?"
+    ):
         with_bands(flown, [read_member(tmp_path / "aged.toml")])
 
 

@@ -194,7 +194,9 @@ def test_a_member_of_a_misspelt_control_point_is_refused(study, tmp_path, capsys
     (study.parent / "aged.toml").write_text('[prior]\n"stack.emissivity_factor@V09T9537" = [0.9, 0.01]\n')
     study.write_text(STUDY.format(more="") + '[[dispersion.member]]\nestimate = "aged.toml"\nweight = 1.0\n')
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
-    message = "[[dispersion.member]] 1: aged.toml: the vehicle has no control point `V09T9537`; did you mean `V09T9527`?"
+    message = (
+        "[[dispersion.member]] 1: aged.toml: the vehicle has no control point `V09T9537`; did you mean `V09T9527`?"
+    )
     assert message in " ".join(capsys.readouterr().err.split()).replace(f"{study.parent}/", "")
     assert not (tmp_path / "out").exists()
 

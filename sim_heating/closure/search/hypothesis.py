@@ -155,8 +155,8 @@ class Hypothesis:
 
     @property
     def adequate(self) -> bool:
-        """Whether its p-value is at least `Policy.adequate_p`, or its residuals are noise larger than declared."""
-        return self.adequacy.p_value >= POLICY.adequate_p or self.adequacy.unstructured
+        """Whether its p-value is at least `Policy.adequate_p`."""
+        return self.adequacy.p_value >= POLICY.adequate_p
 
     @cached_property
     def excess_chi2(self) -> float:
@@ -448,11 +448,9 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     admissible = [h for h in rated if h.admissible]
     best = admissible[0] if admissible else None
     if best is None or best.score > -_least_gain(none):
-        enough = POLICY.contradicted_p if none.last.size is None else POLICY.adequate_p
-        unexplained = none.adequacy.p_value < enough and not none.adequacy.unstructured
-        unexplained |= not _small_error(none)
+        explains = none.adequate and _small_error(none)
         margin = min((h.score for h in admissible), default=np.inf)
-        return Conclusion("unknown" if unexplained else "none", none, (), float(margin))
+        return Conclusion("none" if explains else "unknown", none, (), float(margin))
     explained = none.excess_chi2 - best.excess_chi2
     fraction = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
     inside = [h for h in admissible if h.score <= best.score + POLICY.set_margin and len(h.names) == len(best.names)]

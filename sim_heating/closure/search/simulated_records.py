@@ -49,7 +49,7 @@ def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy, members: int = 1
         p_values.append((larger + 1.0) / (made + 1.0))
         if p_values[-1] >= POLICY.adequate_p:
             break
-    return replace(adequacy, p_value=max(p_values), unstructured=False)
+    return replace(adequacy, p_value=max(p_values), noise_scale=1.0)
 
 
 def _may_be(p: float, larger: int, made: int) -> bool:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,8 +41,8 @@ class Adequacy:
     sign_changes : share of neighbouring residuals with different signs [-], half for white noise
     by_sensor, by_phase : reduced chi-square of each sensor, and of consecutive parts by their times
     statistic    : the largest excess over its scatter
-    unstructured : whether the residuals are as white noise of one size, whatever its size: the recorder may be noisier
-                   than declared, but no model error has this form
+    noise_scale  : noise over the declared one [-] that the p-value is for: above 1 where the residuals are white noise of
+                   one size, but larger than declared. A recorder may be noisier, and no model error has this form
     """
 
     p_value: float
@@ -53,7 +53,7 @@ class Adequacy:
     by_sensor: Mapping[str, float]
     by_phase: Mapping[str, float]
     statistic: float
-    unstructured: bool
+    noise_scale: float = 1.0
 
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
@@ -99,6 +99,21 @@ class _Judged:
     lag1: FloatArray
     sign_changes: FloatArray
 
+    def with_noise(self, variance: float) -> _Judged:
+        """With noise of this variance over the declared one [-]."""
+
+        def scaled(parts: Mapping[str, _Scores]) -> dict[str, _Scores]:
+            return {n: replace(s, square=s.square / variance) for n, s in parts.items()}
+
+        everything = replace(self.everything, square=self.everything.square / variance)
+        parts = scaled(self.by_sensor), scaled(self.by_phase), scaled(self.held_out)
+        return _Judged(everything, *parts, self.lag1, self.sign_changes)
+
+    @property
+    def is_white(self) -> bool:
+        """Whether residuals of one record are white noise of one size, whatever its size."""
+        return bool(self.colour <= 1.0) and all(_is_even(s, self.everything) for s in self.parts.values())
+
     @property
     def parts(self) -> dict[str, _Scores]:
         """All that is judged by its chi-square, by what it is of."""
@@ -137,20 +152,23 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
     fitted   : channels at the values found;  held_out : channels of the segments held out, at the same values
     """
     judged = _judged(fitted, held_out)
-    statistic, chi2_fit = float(judged.statistic), judged.everything.chi2()
+    statistic, chi2_fit = float(judged.statistic), float(judged.everything.chi2())
+    p, noise_scale = p_value(statistic), 1.0
+    if p < POLICY.adequate_p and chi2_fit > 1.0 and judged.is_white:
+        p, noise_scale = p_value(float(judged.with_noise(chi2_fit).statistic)), math.sqrt(chi2_fit)
     by_sensor, by_phase, others = (
         {n: float(s.chi2()) for n, s in parts.items()} for parts in (judged.by_sensor, judged.by_phase, judged.held_out)
     )
     return Adequacy(
-        p_value=p_value(statistic),
-        chi2_fit=float(chi2_fit),
+        p_value=p,
+        chi2_fit=chi2_fit,
         chi2_holdout=next(iter(others.values()), None),
         lag1=float(judged.lag1),
         sign_changes=float(judged.sign_changes),
         by_sensor=by_sensor,
         by_phase=by_phase,
         statistic=statistic,
-        unstructured=bool(judged.colour <= 1.0) and all(_is_even(s, judged.everything) for s in judged.parts.values()),
+        noise_scale=noise_scale,
     )
 
 
@@ -176,7 +194,7 @@ def pooled(by_record: Mapping[str, Adequacy], counts: Sequence[int]) -> Adequacy
         by_sensor={f"{n}, {k}": v for n, a in by_record.items() for k, v in a.by_sensor.items()},
         by_phase={f"{n}, {k}": v for n, a in by_record.items() for k, v in a.by_phase.items()},
         statistic=max(a.statistic for a in adequacies),
-        unstructured=all(a.unstructured for a in adequacies),
+        noise_scale=max(a.noise_scale for a in adequacies),
     )
 
 

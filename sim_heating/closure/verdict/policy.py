@@ -36,7 +36,7 @@ class Policy:
     contradicted_p: float = rule(
         0.001,
         "1",
-        "Below this something is missing that no candidate explains, or values contradict each other.",
+        "Below this values contradict each other: those of several records, or a flight and its table.",
         "a tenth of adequate_p: one record in a thousand by chance",
     )
     model_error_chi2: float = rule(
