@@ -42,7 +42,7 @@ class Adequacy:
     by_sensor, by_phase : reduced chi-square of each sensor, and of consecutive parts by their times
     statistic    : the largest excess over its scatter
     noise_scale  : noise over the declared one [-] that the p-value is for: above 1 where the residuals are white noise of
-                   one size, but larger than declared. A recorder may be noisier, and no model error has this form
+                   one size, larger than declared. A recorder may be noisier, and no model error has this form
     """
 
     p_value: float
