@@ -130,6 +130,8 @@ def search_effects(
         rated = scored(search.none, hypotheses)
     if search.lacks_more(rated):
         rated = search.further_causes(hypotheses, progress)
+    elif base.has_error:
+        rated = search.beside_an_error(rated, _stage(progress, 0.5, 0.9, "one effect more"))
     none, rated = _judged(search.none, rated)
     conclusion, curve = conclude(none, rated), None
     if conclusion.finding in ("partly", "unknown"):
@@ -145,12 +147,25 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
     """
     if none.last.record_fit.model_error is None:
         return none, list(rated)
-    leading = [h for h in rated if h.admissible][: EFFORT.compared] + [h for h in rated if not h.admissible][
-        : EFFORT.compared
-    ]
+    leading = [*_leading(rated), *[h for h in rated if not h.admissible][: EFFORT.compared]]
     trials = in_processes([partial(with_own_error, h.last) for h in (none, *leading)])
     none, *judged = (fitted_anew(h, trial) for h, trial in zip((none, *leading), trials, strict=True))
-    return none, scored(none, judged)
+    return none, _worth_their_causes(scored(none, judged))
+
+
+def _leading(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The leading hypotheses that may be named, with the best of each number of causes among them."""
+    admissible = [h for h in rated if h.admissible]
+    first = [next(h for h in admissible if len(h.names) == n) for n in {len(h.names) for h in admissible}]
+    return sorted([*first, *[h for h in admissible if h not in first]][: EFFORT.compared], key=lambda h: h.score)
+
+
+def _worth_their_causes(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses without those whose further causes gain too little over every one with fewer that may be named."""
+    return [
+        h for h in rated
+        if all(h.score <= f.score - POLICY.min_gain_of_further for f in rated if f.admissible and len(f.names) < len(h.names))
+    ]  # fmt: skip
 
 
 def _stage(progress: Progress, begin: float, end: float, label: str) -> Progress:
@@ -259,6 +274,22 @@ class _Search:
             models += self.on_the_best_change(rated, _stage(progress, 0.9, 0.95, "an effect besides a change"))
             rated = _accepted(self.none, models)
         return rated
+
+    def beside_an_error(self, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
+        """Hypotheses of a model with an error with those of one cause more, and again of one more, best first.
+
+        The error takes up what further causes leave, so that the first one explains the record: whether there are more
+        is told by the odds alone.
+        """
+        models = list(rated)
+        for _ in range(1, POLICY.max_causes):
+            best = next((h for h in models if h.admissible), None)
+            if best is None or best.change is not None or best.score > -POLICY.min_gain:
+                break
+            models = scored(self.none, [*models, *self.with_one_more([list(best.trials)], progress)])
+            if len(models[0].names) <= len(best.names):
+                break
+        return models
 
     def with_one_more(self, stacks: Sequence[Sequence[TrialFit]], progress: Progress) -> list[Hypothesis]:
         """Hypotheses with one effect more on top of each of several stacks of effects, a round of each side by side.

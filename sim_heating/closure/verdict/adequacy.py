@@ -41,8 +41,8 @@ class Adequacy:
     sign_changes : share of neighbouring residuals with different signs [-], half for white noise
     by_sensor, by_phase : reduced chi-square of each sensor, and of consecutive parts by their times
     statistic    : the largest excess over its scatter
-    noise_scale  : noise over the declared one [-] that the p-value is for: above 1 where the residuals are white noise of
-                   one size, larger than declared. A recorder may be noisier, and no model error has this form
+    noise_scale  : noise over the declared one [-] that the p-value is for: above 1 where the residuals are white noise
+                   of one size, larger than declared. A recorder may be noisier, and no model error has this form
     """
 
     p_value: float
