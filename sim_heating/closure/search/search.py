@@ -15,6 +15,7 @@ best change of the record, where that explains half of the residual.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -162,10 +163,12 @@ def _leading(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 def _worth_their_causes(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses without those whose further causes gain too little over every one with fewer that may be named."""
-    return [
-        h for h in rated
-        if all(h.score <= f.score - POLICY.min_gain_of_further for f in rated if f.admissible and len(f.names) < len(h.names))
-    ]  # fmt: skip
+    best: dict[int, float] = {}
+    for h in rated:
+        if h.admissible:
+            best[len(h.names)] = min(h.score, best.get(len(h.names), math.inf))
+    margin = POLICY.min_gain_of_further
+    return [h for h in rated if all(h.score <= best[n] - margin for n in best if n < len(h.names))]
 
 
 def _stage(progress: Progress, begin: float, end: float, label: str) -> Progress:
