@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from benchmarks.challenge.record import make_and_write
 from sim_heating.closure.close import close_loop
 from sim_heating.closure.prior.changed_flight import shift_conditions
 from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
@@ -360,3 +361,14 @@ def test_a_clock_within_its_uncertainty_is_an_error_of_the_flight(later_s):
     value, sigma = told_error(trial).flight["time_shift_s"]
     assert value == pytest.approx(-later_s, abs=max(3.0 * sigma, 0.2))
     assert sigma < 0.2
+
+
+@pytest.mark.thorough
+def test_an_error_of_the_heating_hides_no_second_and_third_cause(tmp_path):
+    """It takes up what the first cause leaves, so that this explains the record by itself."""
+    name, answer, _ = make_and_write((784, 0, "three", tmp_path, True))
+    result = search_effects(load_record(tmp_path / name))
+    single = next(h for h in result.hypotheses if len(h.names) == 1)
+    assert single.adequate
+    assert result.conclusion.finding == "found"
+    assert set(result.names) == {*answer["effects"]}

@@ -5,7 +5,8 @@ promising ones are fitted together with these (trial_fit.py), and the leading on
 simplest and richest forms (refine.py). Changes of the record's flight, wall and sensors are screened and fitted in the
 same way (record_change.py), and wrong derivatives of its table (table_candidates.py).
 
-Where the best single cause explains the record to its noise the search ends. Otherwise a further effect is sought on
+Where the best single cause explains the record to its noise the search ends, unless the model has an error, which takes
+up what further causes leave: those are then sought by their odds. Otherwise a further effect is sought on
 top of each of several first ones, jointly with it. A further effect has to explain a good part of the remaining excess,
 and to improve the prediction of the segments held out; at the end each is left out in turn, and stays out where the
 score does not suffer. All models are then compared (hypothesis.py). Where none is adequate, a smooth curve against one
