@@ -163,13 +163,18 @@ def _leading(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def _worth_their_causes(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Hypotheses without those whose further causes gain too little over every one with fewer that may be named."""
-    best: dict[int, float] = {}
-    for h in rated:
-        if h.admissible:
-            best[len(h.names)] = min(h.score, best.get(len(h.names), math.inf))
-    margin = POLICY.min_gain_of_further
-    return [h for h in rated if all(h.score <= best[n] - margin for n in best if n < len(h.names))]
+    """Hypotheses without those whose further causes gain too little over one with fewer that may be named.
+
+    Over the simplest one that explains the record they gain `Policy.min_gain_over_adequate`, as the form of its cause
+    may be wrong; over others `Policy.min_gain_of_further`.
+    """
+    best = {len(h.names): h for h in reversed(rated) if h.admissible}
+    simplest = next((h for _, h in sorted(best.items()) if h.adequate), None)
+
+    def to_beat(h: Hypothesis) -> float:
+        return h.score - (POLICY.min_gain_over_adequate if h is simplest else POLICY.min_gain_of_further)
+
+    return [h for h in rated if all(h.score <= to_beat(fewer) for n, fewer in best.items() if n < len(h.names))]
 
 
 def _stage(progress: Progress, begin: float, end: float, label: str) -> Progress:
