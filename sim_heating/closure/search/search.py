@@ -16,7 +16,6 @@ best change of the record, where that explains half of the residual.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
