@@ -90,7 +90,7 @@ class Policy:
     min_gain_over_adequate: float = rule(
         30.0,
         "BIC",
-        "A cause gains this over an exact model that explains the record, and further ones over the simplest that does: "
+        "A cause gains this over an exact model that explains the record, further ones over the simplest that does: "
         "errors of form give some gain.",
     )
     min_gain_of_further: float = rule(6.0, "BIC", "One cause more gains this over every model with fewer.")
