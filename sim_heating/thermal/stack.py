@@ -18,18 +18,10 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
+from sim_heating.base import files
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import tell
-from sim_heating.base.files import (
-    COLDEST_K,
-    Declared,
-    LocatedError,
-    Location,
-    celsius_rule,
-    check,
-    raise_located,
-    suggestion,
-)
+from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule
 from sim_heating.base.files.toml import remarks_of
 from sim_heating.base.limits import HOTTEST_K, QUANTITIES, usual_remark
 from sim_heating.thermal.sampling import RATE_TEXT, SampleRate, require_span, word_step
@@ -113,7 +105,7 @@ def _hot_problems(table: Table) -> list[tuple[Location, str]]:
 
 
 def _raise_located(problems: Sequence[tuple[Location, str]]) -> None:
-    raise_located(problems)
+    files.raise_located(problems)
 
 
 def _axis_problems(key: str, values: list[float]) -> list[tuple[Location, str]]:
@@ -759,7 +751,7 @@ def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[t
     problems: list[tuple[Location, str]] = []
     for i, layer in enumerate(stack.layer):
         if layer.material not in materials:
-            hint = suggestion(layer.material, materials, otherwise=f"; add [materials.{layer.material}]")
+            hint = files.suggestion(layer.material, materials, otherwise=f"; add [materials.{layer.material}]")
             problems.append((("stack", "layer", i, "material"), f"unknown material `{layer.material}`{hint}"))
     outer = materials.get(stack.layer[0].material)
     if outer is not None and outer.emissivity is None:
@@ -826,6 +818,6 @@ def construct(stack: Stack, materials: Mapping[str, Material], where: str = "con
     # all of them where one is unknown, which may be misspelt
     materials_used = {n: m for n, m in materials.items() if n in used} if used <= materials.keys() else materials
     parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in materials_used.items()}}
-    construction = check(parts, Construction, where, tells=False)  # the files of its parts have told of each
+    construction = files.check(parts, Construction, where, tells=False)  # the files of its parts have told of each
     tell(remarks_of(construction, parts, where, below=False))
     return construction

@@ -30,16 +30,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path, raise_problems, suggestion, write_text_atomic
 from sim_heating.base.files.xml import read_xml
-from sim_heating.heating.exchange.mathml import (
-    NAMESPACE,
-    Expression,
-    evaluate,
-    local_name,
-    names_in,
-    number_of,
-    read_math,
-    write_math,
-)
+from sim_heating.heating.exchange import mathml
 
 ROOT, SPACE = "DAVEfunc", "http://daveml.org/2010/DAVEML"
 DOCTYPE = (
@@ -65,7 +56,7 @@ class Variable:
     attributes: Mapping[str, str]
     flags: tuple[str, ...] = ()
     description: str = ""
-    calculation: Expression | None = None
+    calculation: mathml.Expression | None = None
 
     def number(self, name: str) -> float | None:
         """A numeric attribute in the unit of the variable, or [-]; None where it is absent.
@@ -73,7 +64,7 @@ class Variable:
         Source: ANSI/AIAA S-119 (2011).
         """
         text = self.attributes.get(name)
-        return None if text is None else number_of(text, f"variableDef `{self.id}`, {name}")
+        return None if text is None else mathml.number_of(text, f"variableDef `{self.id}`, {name}")
 
     @property
     def name(self) -> str:
@@ -243,8 +234,10 @@ class DaveModel:
 
     def _needs(self, identifier: str) -> tuple[str, ...]:
         calculation = self.variables[identifier].calculation
+        if calculation is not None:
+            return tuple(mathml.names_in(calculation))
         function = self.by_result.get(identifier)
-        return tuple(names_in(calculation)) if calculation is not None else function.variables if function else ()
+        return function.variables if function else ()
 
     @cached_property
     def _order(self) -> tuple[str, ...]:
@@ -295,7 +288,7 @@ class DaveModel:
         for i in self._order:
             v = self.variables[i]
             if v.calculation is not None:
-                by_identifier[i] = evaluate(v.calculation, by_identifier)
+                by_identifier[i] = mathml.evaluate(v.calculation, by_identifier)
             elif i in self.by_result:
                 by_identifier[i] = self.by_result[i].at(by_identifier)
             elif i in values:
@@ -344,6 +337,12 @@ def _extrapolation(variable: ET.Element, where: str) -> str:
         wrong = form if end in ENDS else end
         raise InputError(f"{where}, variable `{variable.get('varID')}`: `{wrong}` is not read here; use linear tables")
     return end
+
+
+def _limits(variable: ET.Element, where: str) -> tuple[float, float]:
+    """Least and greatest value of a variable that its table is read at."""
+    least, greatest = variable.get("min", "-1e300"), variable.get("max", "1e300")
+    return mathml.number_of(least, f"{where}, min"), mathml.number_of(greatest, f"{where}, max")
 
 
 class _Reader:
@@ -432,16 +431,13 @@ class _Reader:
             if count != len(inputs):
                 raise InputError(f"{where}: {len(inputs)} independent variables, and its table has {count}")
         ends = tuple(_extrapolation(i, where) for i in inputs)
-        limits = tuple(
-            (number_of(i.get("min", "-1e300"), f"{where}, min"), number_of(i.get("max", "1e300"), f"{where}, max"))
-            for i in inputs
-        )
+        limits = tuple(_limits(i, where) for i in inputs)
         identifiers = tuple(i.get("varID", "") for i in inputs)
         return Function(name, identifiers, result.get("varID", ""), table, limits, ends, _text(e, "description"))
 
     def table_of(self, definition: ET.Element, where: str) -> Table:
         for e in definition:
-            name = local_name(e)
+            name = mathml.local_name(e)
             if name in ("griddedTableRef", "ungriddedTableRef"):
                 key = e.get("gtID") or e.get("utID") or ""
                 if key not in self.tables:
@@ -455,13 +451,13 @@ class _Reader:
 
 
 def _children(element: ET.Element, name: str) -> list[ET.Element]:
-    return [e for e in element if local_name(e) == name]
+    return [e for e in element if mathml.local_name(e) == name]
 
 
 def _child(element: ET.Element, name: str, where: str = "") -> ET.Element:
     children = _children(element, name)
     if not children:
-        raise InputError(f"{where or f'<{local_name(element)}>'}: lacks <{name}>")
+        raise InputError(f"{where or f'<{mathml.local_name(element)}>'}: lacks <{name}>")
     return children[0]
 
 
@@ -474,7 +470,7 @@ def _text(element: ET.Element, name: str) -> str:
 def _numbers(element: ET.Element, where: str) -> FloatArray:
     """Numbers of an element's text, between commas or white space."""
     text = "".join(element.itertext()).replace(",", " ").split()
-    return np.array([number_of(t, where) for t in text])
+    return np.array([mathml.number_of(t, where) for t in text])
 
 
 def _variable(e: ET.Element) -> Variable:
@@ -483,10 +479,10 @@ def _variable(e: ET.Element) -> Variable:
     calculation = None
     for c in _children(e, "calculation"):
         try:
-            calculation = read_math(_child(c, "math"))
+            calculation = mathml.read_math(_child(c, "math"))
         except InputError as error:
             raise InputError(f"variableDef `{identifier}`: {error}") from None
-    flags = tuple(local_name(c) for c in e if local_name(c) in FLAGS)
+    flags = tuple(mathml.local_name(c) for c in e if mathml.local_name(c) in FLAGS)
     variable = Variable(identifier, attributes, flags, _text(e, "description"), calculation)
     for name in ("initialValue", "minValue", "maxValue"):
         variable.number(name)  # a text that is no number is refused where it stands
@@ -498,15 +494,17 @@ def _case(e: ET.Element, variables: Mapping[str, Variable], names: Mapping[str, 
 
     def signals(group: str, with_tolerance: bool) -> Iterator[Signal]:
         for s in (s for g in _children(e, group) for s in _children(g, "signal")):
-            key = next((c.text or "" for c in s if local_name(c) in ("varID", "signalID")), None)
+            key = next((c.text or "" for c in s if mathml.local_name(c) in ("varID", "signalID")), None)
             key = key if key is not None else _text(s, "signalName")
             key = key.strip() if key.strip() in variables else names.get(key.strip(), "")
             if not key:
-                label = next((c.text for c in s if local_name(c) in ("varID", "signalID", "signalName")), "")
+                label = next((c.text for c in s if mathml.local_name(c) in ("varID", "signalID", "signalName")), "")
                 raise InputError(f"{where}: signal `{label}` is no variable{suggestion(label or '', names)}")
             tolerance = _text(s, "tol")
-            value = number_of(_text(s, "signalValue"), f"{where}, `{key}`")
-            yield Signal(key, value, number_of(tolerance, f"{where}, tol") if with_tolerance and tolerance else None)
+            value = mathml.number_of(_text(s, "signalValue"), f"{where}, `{key}`")
+            yield Signal(
+                key, value, mathml.number_of(tolerance, f"{where}, tol") if with_tolerance and tolerance else None
+            )
 
     results = (*signals("internalValues", True), *signals("checkOutputs", True))
     return CheckCase(e.get("name", ""), tuple(signals("checkInputs", False)), results)
@@ -585,8 +583,8 @@ def _write_variable(root: ET.Element, v: Variable) -> None:
     if v.description:
         ET.SubElement(e, "description").text = v.description
     if v.calculation is not None:
-        math = ET.SubElement(ET.SubElement(e, "calculation"), "math", xmlns=NAMESPACE)
-        math.append(write_math(v.calculation))
+        math = ET.SubElement(ET.SubElement(e, "calculation"), "math", xmlns=mathml.NAMESPACE)
+        math.append(mathml.write_math(v.calculation))
     for flag in v.flags:
         ET.SubElement(e, flag)
 
