@@ -18,6 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -287,20 +288,23 @@ class DaveModel:
         by_identifier: dict[str, Any] = {}
         for i in self._order:
             v = self.variables[i]
-            if v.calculation is not None:
-                by_identifier[i] = mathml.evaluate(v.calculation, by_identifier)
-            elif i in self.by_result:
-                by_identifier[i] = self.by_result[i].at(by_identifier)
-            elif i in values:
-                by_identifier[i] = np.asarray(values[i], dtype=float)
-            elif (start := v.number("initialValue")) is not None:
-                by_identifier[i] = np.float64(start)
-            else:
-                raise InputError(f"input `{i}` ({v.name}) has no value; it needs {', '.join(self.inputs)}")
+            by_identifier[i] = self._value_of(v, values, by_identifier)
             low, high = v.number("minValue"), v.number("maxValue")
             if low is not None or high is not None:
                 by_identifier[i] = np.clip(by_identifier[i], low, high)
         return {i: by_identifier[i] for i in self.variables}
+
+    def _value_of(self, v: Variable, values: Mapping[str, ArrayLike], by_identifier: Mapping[str, Any]) -> Any:
+        """Value of a variable, not yet within its limits, from those of the variables that it needs."""
+        if v.calculation is not None:
+            return mathml.evaluate(v.calculation, by_identifier)
+        if v.id in self.by_result:
+            return self.by_result[v.id].at(by_identifier)
+        if v.id in values:
+            return np.asarray(values[v.id], dtype=float)
+        if (start := v.number("initialValue")) is not None:
+            return np.float64(start)
+        raise InputError(f"input `{v.id}` ({v.name}) has no value; it needs {', '.join(self.inputs)}")
 
     def check_problems(self) -> list[str]:
         """Check values, each in the unit of its variable ([deg], [-] ...), that the model misses by more than their
@@ -364,18 +368,21 @@ class _Reader:
         name = e.get("gtID") or e.get("name") or "inline"
         where = f"griddedTableDef `{name}`"
         references = [r.get("bpID", "") for r in _children(_child(e, "breakpointRefs", where), "bpRef")]
-        for r in references:
-            if r not in self.breakpoints:
-                raise InputError(f"{where}: breakpoints `{r}` are not defined{suggestion(r, self.breakpoints)}")
-        axes = tuple(self.breakpoints[r] for r in references)
-        for r, axis in zip(references, axes, strict=True):
-            if len(axis) == 0 or np.any(np.diff(axis) <= 0.0):
-                raise InputError(f"breakpointDef `{r}`: must increase from value to value")
+        axes = self.axes_of(references, where)
         values = _numbers(_child(e, "dataTable", where), where)
-        shape = tuple(len(axis) for axis in axes)
+        shape = tuple(map(len, axes))
         if values.size != np.prod(shape):
             raise InputError(f"{where}: {values.size} values, and its breakpoints make {int(np.prod(shape))}")
         return GriddedTable(name, tuple(references), axes, values.reshape(shape))
+
+    def axes_of(self, references: Sequence[str], where: str) -> tuple[FloatArray, ...]:
+        for r in references:
+            if r not in self.breakpoints:
+                raise InputError(f"{where}: breakpoints `{r}` are not defined{suggestion(r, self.breakpoints)}")
+        for r in references:
+            if len(self.breakpoints[r]) == 0 or np.any(np.diff(self.breakpoints[r]) <= 0.0):
+                raise InputError(f"breakpointDef `{r}`: must increase from value to value")
+        return tuple(self.breakpoints[r] for r in references)
 
     def ungridded(self, e: ET.Element) -> UngriddedTable:
         name = e.get("utID") or e.get("name") or "inline"
@@ -493,21 +500,35 @@ def _case(e: ET.Element, variables: Mapping[str, Variable], names: Mapping[str, 
     where = f"staticShot `{e.get('name')}`"
 
     def signals(group: str, with_tolerance: bool) -> Iterator[Signal]:
-        for s in (s for g in _children(e, group) for s in _children(g, "signal")):
-            key = next((c.text or "" for c in s if mathml.local_name(c) in ("varID", "signalID")), None)
-            key = key if key is not None else _text(s, "signalName")
-            key = key.strip() if key.strip() in variables else names.get(key.strip(), "")
-            if not key:
-                label = next((c.text for c in s if mathml.local_name(c) in ("varID", "signalID", "signalName")), "")
-                raise InputError(f"{where}: signal `{label}` is no variable{suggestion(label or '', names)}")
-            tolerance = _text(s, "tol")
+        for s in chain.from_iterable(_children(g, "signal") for g in _children(e, group)):
+            key = _variable_of_signal(s, where, variables, names)
+            tolerance = _text(s, "tol") if with_tolerance else ""
             value = mathml.number_of(_text(s, "signalValue"), f"{where}, `{key}`")
-            yield Signal(
-                key, value, mathml.number_of(tolerance, f"{where}, tol") if with_tolerance and tolerance else None
-            )
+            yield Signal(key, value, mathml.number_of(tolerance, f"{where}, tol") if tolerance else None)
 
     results = (*signals("internalValues", True), *signals("checkOutputs", True))
     return CheckCase(e.get("name", ""), tuple(signals("checkInputs", False)), results)
+
+
+def _variable_of_signal(
+    signal: ET.Element, where: str, variables: Mapping[str, Variable], names: Mapping[str, str]
+) -> str:
+    """Identifier of the variable that a signal names by it or by the variable's name.
+
+    raises : InputError for one of no variable
+    """
+    stated = _first_text(signal, "varID", "signalID")
+    stated = (_text(signal, "signalName") if stated is None else stated).strip()
+    key = stated if stated in variables else names.get(stated, "")
+    if not key:
+        label = _first_text(signal, "varID", "signalID", "signalName") or ""
+        raise InputError(f"{where}: signal `{label}` is no variable{suggestion(label, names)}")
+    return key
+
+
+def _first_text(element: ET.Element, *names: str) -> str | None:
+    """Text of the first child that has one of the names; None without such a child."""
+    return next((c.text or "" for c in element if mathml.local_name(c) in names), None)
 
 
 def read_dave_ml(path: str | os.PathLike[str]) -> DaveModel:
