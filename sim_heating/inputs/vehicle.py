@@ -454,32 +454,52 @@ def _read_control_points(
         file = problems.attempt(files.read_toml, path, ControlPointFile)
         if file is None:
             continue
-        if file.name != path.stem:
-            problems.add(f'{display_path(path)}: `name`: "{file.name}" is not the name of the file')
-        if vehicle is not None:
-            problems.add_all(_vehicle_problems(path, file, vehicle))
-            tell(_position_remarks(path, file, vehicle))
-        construction = None
-        if invalid.isdisjoint(layer.material for layer in file.stack.layer):
-            construction = problems.attempt(_construct_wall, file, materials, display_path(path))
-        recovery = recovery_of(file, None if vehicle is None else vehicle.heating)
-        ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle, recovery)
-        turbulent = problems.attempt(_read_turbulent, path, file, vehicle, recovery)
-        tables += [(file.name, file.ratio_table, ratio)] if ratio is not None else []
-        tables += [(file.name, file.ratio_table_turbulent or "", table) for table in turbulent or ()]
-        effects = problems.attempt(_effects, path, file, vehicle)
-        if construction is None or ratio is None or turbulent is None or effects is None:
-            continue
-        flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
-        if flow is not None:
-            declared = (_transition(file, vehicle), _catalysis(file, vehicle))
-            control_point = _control_point(file, construction, ratio, effects, flow, *declared)
-            upstream = _upstream(path, file, materials, invalid, problems)
-            points[file.name] = replace(control_point, upstream=upstream)
+        point, of_point = _read_control_point(path, file, materials, invalid, vehicle, problems)
+        tables += of_point
+        if point is not None:
+            points[file.name] = point
     if len(points) == len(list(directory.glob("control_points/*.toml"))):
         problems.add_all(_interface_problems(directory, points))
     problems.add_all((*_repeated_sensors(directory, points), *_tables_of_others(directory, tables)))
     return points
+
+
+def _read_control_point(
+    path: Path,
+    file: ControlPointFile,
+    materials: Mapping[str, Material],
+    invalid: frozenset[str],
+    vehicle: VehicleFile | None,
+    problems: _Problems,
+) -> tuple[ControlPoint | None, list[tuple[str, str, RatioTable]]]:
+    """A control point, None where it has problems, and its tables that can be read, by point and file."""
+    _check_declaration(path, file, vehicle, problems)
+    construction = None
+    if invalid.isdisjoint(layer.material for layer in file.stack.layer):
+        construction = problems.attempt(_construct_wall, file, materials, display_path(path))
+    recovery = recovery_of(file, None if vehicle is None else vehicle.heating)
+    ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle, recovery)
+    turbulent = problems.attempt(_read_turbulent, path, file, vehicle, recovery)
+    tables = [] if ratio is None else [(file.name, file.ratio_table, ratio)]
+    tables += [(file.name, file.ratio_table_turbulent or "", table) for table in turbulent or ()]
+    effects = problems.attempt(_effects, path, file, vehicle)
+    if construction is None or ratio is None or turbulent is None or effects is None:
+        return None, tables
+    flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
+    if flow is None:
+        return None, tables
+    declared = (_transition(file, vehicle), _catalysis(file, vehicle))
+    control_point = _control_point(file, construction, ratio, effects, flow, *declared)
+    return replace(control_point, upstream=_upstream(path, file, materials, invalid, problems)), tables
+
+
+def _check_declaration(path: Path, file: ControlPointFile, vehicle: VehicleFile | None, problems: _Problems) -> None:
+    """Report where the declaration of a control point fits neither its file nor its vehicle."""
+    if file.name != path.stem:
+        problems.add(f'{display_path(path)}: `name`: "{file.name}" is not the name of the file')
+    if vehicle is not None:
+        problems.add_all(_vehicle_problems(path, file, vehicle))
+        tell(_position_remarks(path, file, vehicle))
 
 
 def _vehicle_problems(path: Path, file: ControlPointFile, vehicle: VehicleFile) -> Iterator[str]:

@@ -161,21 +161,31 @@ def _sides(both: bool) -> tuple[float, ...]:
 def _perturbed_lanes(i: int, track: Track) -> list[PerturbedLane]:
     """The perturbed lanes of a track, the nominal one first; none for a track without sensitivities."""
     lanes = [PerturbedLane(i)] if track.columns else []
-    # A lag mixes earlier values of dr/dp into the present ratio, so that one lane cannot serve all parameters.
-    remembered = any(used.effect.lags for used in track.model.effects)
-    shared = () if remembered else tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
-    if shared:
+    if shared := _sharing_columns(track):
         by, both = perturbation(track.model, RATIO_ITSELF)
         lanes += [PerturbedLane(i, shared, RATIO_ITSELF, side * by, both, at_faces=True) for side in _sides(both)]
     for column, name in enumerate(track.names):
         if column not in shared:
             (by, both), at_faces = perturbation(track.model, name), track.model.at_faces(name)
             lanes += [PerturbedLane(i, (column,), name, side * by, both, at_faces) for side in _sides(both)]
+    return lanes + _lanes_of_table_errors(i, track)
+
+
+def _sharing_columns(track: Track) -> tuple[int, ...]:
+    """Sensitivities that follow from the one to the ratio itself, by one perturbed lane or two."""
+    # A lag mixes earlier values of dr/dp into the present ratio, so that one lane cannot serve all parameters.
+    if any(used.effect.lags for used in track.model.effects):
+        return ()
+    return tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
+
+
+def _lanes_of_table_errors(i: int, track: Track) -> list[PerturbedLane]:
+    """The perturbed lanes of the errors of a track's ratio table."""
     tables = range(len(track.names), len(track.names) + len(track.table_errors))
     # Where the balance is affine in the ratio, a whole unit of the error gives the exact derivative.
     both = _curved_in_ratio(track.model)
     by = PERTURBATION if both else 1.0
-    return lanes + [
+    return [
         PerturbedLane(i, (column,), by=side * by, both=both, at_faces=True)
         for column in tables
         for side in _sides(both)
@@ -378,13 +388,7 @@ class LinearMarch:
 
         Derived in docs/theory/equations_march.md, equations 4 to 8.
         """
-        shifts = [0.0] * len(self.tracks) if shifts_s is None else list(shifts_s)
-        times = [track.sample_s + shift for track, shift in zip(self.tracks, shifts, strict=True)]
-        times = [np.maximum(t, self.time_s[0]) if i.at_rest else t for i, t in zip(self.tracks, times, strict=True)]
-        for track, t in zip(self.tracks, times, strict=True):
-            outside = np.count_nonzero((t < self.time_s[0]) | (t > self.time_s[-1]))
-            if outside:
-                raise InputError(f"{track.model.name}: {outside} samples lie outside the march; leave them out")
+        times = self._sample_times([0.0] * len(self.tracks) if shifts_s is None else shifts_s)
         started = self._begin([t.initial_K for t in self.tracks] if initial_K is None else initial_K)
         m = max(track.columns for track in self.tracks)
         requested = self._requested(times)
@@ -406,6 +410,20 @@ class LinearMarch:
         )
         failed = self.nominal.failed()
         return [None if failed[i] or not started[i] else self._result(i, out) for i in range(len(self.tracks))]
+
+    def _sample_times(self, shifts_s: Sequence[float]) -> list[FloatArray]:
+        """Times [s] at which each track is read.
+
+        raises : InputError where one lies outside the march
+        """
+        times = []
+        for track, shift in zip(self.tracks, shifts_s, strict=True):
+            t = track.sample_s + shift
+            times.append(np.maximum(t, self.time_s[0]) if track.at_rest else t)
+            outside = np.count_nonzero((times[-1] < self.time_s[0]) | (times[-1] > self.time_s[-1]))
+            if outside:
+                raise InputError(f"{track.model.name}: {outside} samples lie outside the march; leave them out")
+        return times
 
     def _begin(self, initial_K: Sequence[FloatArray | None]) -> list[bool]:
         """Set nominal and perturbed lanes to the start of the march.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -724,21 +724,23 @@ def _gas_problems(stack: Stack, materials: Mapping[str, Material]) -> list[tuple
         if kinds[i] == "solid":
             stated = [face for face in FACES if getattr(layer, face) is not None]
             problems += [((*where, f), "is of a layer of gas, and this one is solid; remove it") for f in stated]
-            continue
-        neighbours = kinds[max(i - 1, 0) : i] + kinds[i + 1 : i + 2]
-        if neighbours != ["solid", "solid"]:
+        elif kinds[max(i - 1, 0) : i] + kinds[i + 1 : i + 2] != ["solid", "solid"]:
             problems.append(((*where, "material"), "a layer of gas lies between two solid ones; add the one it lacks"))
-            continue
-        if layer.contact_m2K_W > 0.0 or stack.layer[i - 1].contact_m2K_W > 0.0:
-            rule = "a layer of gas has no contact resistance at its faces; remove it"
-            problems.append(((*where, "contact_m2K_W"), rule))
-        for face, side in FACES.items():
-            if face_emittance(stack, materials, i, face) is None:
-                material = stack.layer[i + side].material
-                why = "changes with temperature" if materials[material].emissivity else "is not stated"
-                rule = f"is missing: the faces of a gas layer radiate, and the emittance of `{material}` {why}; add it"
-                problems.append(((*where, face), rule))
+        else:
+            problems += [((*where, key), rule) for key, rule in _face_problems(stack, materials, i)]
     return problems
+
+
+def _face_problems(stack: Stack, materials: Mapping[str, Material], gas: int) -> Iterator[tuple[str, str]]:
+    """Key and rule of what is wrong at the two faces of a layer of gas."""
+    if stack.layer[gas].contact_m2K_W > 0.0 or stack.layer[gas - 1].contact_m2K_W > 0.0:
+        yield "contact_m2K_W", "a layer of gas has no contact resistance at its faces; remove it"
+    for face, side in FACES.items():
+        if face_emittance(stack, materials, gas, face) is None:
+            material = stack.layer[gas + side].material
+            why = "changes with temperature" if materials[material].emissivity else "is not stated"
+            rule = f"is missing: the faces of a gas layer radiate, and the emittance of `{material}` {why}; add it"
+            yield face, rule
 
 
 def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[tuple[Location, str]]:
