@@ -475,11 +475,15 @@ class _HeatingPacker(ImagePacker):
         parameters = tuple(name for name in settable if name not in after)
         for i, v in enumerate(variables[first:], start=first):
             if v.role is Role.OUTPUT and ".heating." in v.name:
-                inside = v.name.endswith(".radiated_W_m2") and not emitting
-                # Surroundings by altitude follow from altitude and density.
-                around = ("altitude_m", "rho_kg_m3") if self.plugin._host[BY_ALTITUDE] else ()
-                inputs = (*around, "T_surroundings_K") if inside else ("time", *self.inputs)
-                variables[i] = replace(v, depends=inputs, parameters=parameters)
+                is_of_wall = v.name.endswith(".radiated_W_m2") and not emitting
+                depends = self._inputs_of_radiation() if is_of_wall else ("time", *self.inputs)
+                variables[i] = replace(v, depends=depends, parameters=parameters)
+
+    def _inputs_of_radiation(self) -> tuple[str, ...]:
+        """Inputs that the radiation of a wall depends on beside its temperature."""
+        # Surroundings by altitude follow from altitude and density.
+        around = ("altitude_m", "rho_kg_m3") if self.plugin._host[BY_ALTITUDE] else ()
+        return (*around, "T_surroundings_K")
 
     def _name_effect(self, name: str, used: EffectUse, before: Sequence[EffectUse], offset: int) -> None:
         earlier = sum(u.effect.name == used.effect.name for u in before)
