@@ -90,6 +90,7 @@ MONITORED = re.compile(
 )
 """Time of a serial monitor with an arrow, or in brackets, and the text of the device."""
 MONITOR_MARK = re.compile(r"^\[| -> ")
+"""The bracket or the arrow of a serial monitor."""
 QUOTED_LIST = re.compile(r'\s*\(((?:\s*"[^"]*")+)\s*\)\s*')
 """Names as Fluent lists them, `("Time Step" "wall" "flow-time")`."""
 TIME_WORDS = rf"(?i)time|zeit|date|datum|{EAST_ASIAN_TIME}|^t$|^(elapsed )?sec"
