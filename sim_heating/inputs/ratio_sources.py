@@ -22,23 +22,11 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from sim_heating.base import files
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import (
-    Declared,
-    FileOfFolder,
-    LocatedError,
-    Location,
-    display_path,
-    exclusive,
-    raise_problems,
-    read_csv_columns,
-    read_toml,
-    roots_of,
-    suggestion,
-    write_own_files,
-)
+from sim_heating.base.files import Declared, FileOfFolder, LocatedError, Location, display_path
 from sim_heating.base.kernels.axis import cells_of
 from sim_heating.base.limits import QUANTITIES
 from sim_heating.heating.atmosphere import us76_kernel
@@ -278,15 +266,15 @@ def build_tables(
              one table
     """
     directory = vehicle_directory(vehicle)
-    roots_of(directory / "vehicle.toml", root).check_links(directory)
-    file = read_toml(directory / "vehicle.toml", VehicleFile)
+    files.roots_of(directory / "vehicle.toml", root).check_links(directory)
+    file = files.read_toml(directory / "vehicle.toml", VehicleFile)
     sources = sorted((directory / "ratio_sources").glob("*.toml"))
     if not sources:
         raise InputError(f"{display_path(directory / 'ratio_sources')}: holds no description; add a .toml file")
     tables: dict[str, RatioTable] = {}
     points = sorted(p.stem for p in (directory / "control_points").glob("*.toml"))
     for path in sources:
-        source = read_toml(path, RatioSource)
+        source = files.read_toml(path, RatioSource)
         _require_reference(path, source, file.heating.reference)
         for name in source.control_points:
             table = name + (TURBULENT if source.flow == "turbulent" else "")
@@ -296,9 +284,9 @@ def build_tables(
                     "one"
                 )
             if name not in points:
-                rule = f"the vehicle has no control point `{name}`{suggestion(name, points)}"
+                rule = f"the vehicle has no control point `{name}`{files.suggestion(name, points)}"
                 raise InputError(f"{display_path(path)}: `control_points`: {rule}")
-            point = read_toml(directory / "control_points" / f"{name}.toml", ControlPointFile)
+            point = files.read_toml(directory / "control_points" / f"{name}.toml", ControlPointFile)
             with error_context(display_path(path)):
                 tables[table] = _build(source, path, point, file)
     return tables
@@ -312,12 +300,12 @@ def write_tables(vehicle: str | os.PathLike[str], *, root: str | os.PathLike[str
              another process is writing to the vehicle; nothing is written
     """
     directory = vehicle_directory(vehicle)
-    with exclusive(directory):
+    with files.exclusive(directory):
         folder, tables = directory / "ratio_tables", build_tables(directory, root=root)
         texts = {f"{name}.csv": ratio_table_text(table, FORMATS) for name, table in tables.items()}
         for name in texts:
             _refuse_revised(folder / name)
-        write_own_files(folder, "ratio-tables", texts)
+        files.write_own_files(folder, "ratio-tables", texts)
     return [folder / name for name in texts]
 
 
@@ -426,8 +414,10 @@ def _from_theory(
 
 def _from_file(base: FileBase, path: Path, alpha_deg: FloatArray, log10_re: FloatArray) -> FloatArray:
     """The file's ratio, bilinear in alpha and log10_re; constant beyond its ends, windward trend at low alpha."""
-    table = read_csv_columns(path, ("alpha_deg", "log10_re", base.column))
-    raise_problems([p for name in ("alpha_deg", "log10_re") for p in range_problems(table, name, QUANTITIES[name])])
+    table = files.read_csv_columns(path, ("alpha_deg", "log10_re", base.column))
+    files.raise_problems(
+        [p for name in ("alpha_deg", "log10_re") for p in range_problems(table, name, QUANTITIES[name])]
+    )
     a, re = np.unique(table["alpha_deg"]), np.unique(table["log10_re"])
     values = np.full((len(a), len(re)), np.nan)
     values[np.searchsorted(a, table["alpha_deg"]), np.searchsorted(re, table["log10_re"])] = table[base.column]

@@ -24,28 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
+from sim_heating.base import files
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import DERIVED, HEATING, RATIO_VARIABLES, STATE, SURFACES, Conditions
 from sim_heating.base.errors import InputError, tell
-from sim_heating.base.files import (
-    CsvTable,
-    Declared,
-    LocatedError,
-    Location,
-    csv_text,
-    display_path,
-    output_directory,
-    path_below,
-    raise_located,
-    raise_problems,
-    read_csv_columns,
-    read_toml,
-    repeated_name,
-    roots_of,
-    suggestion,
-    toml_text,
-    write_text_atomic,
-)
+from sim_heating.base.files import CsvTable, Declared, LocatedError, Location, display_path
 from sim_heating.base.files.roots import portable_name
 from sim_heating.base.kernels.jit import interpreted
 from sim_heating.base.limits import HOTTEST_K, USUAL
@@ -90,7 +73,7 @@ def _not_the_declaration(file: str) -> str:
     return file
 
 
-FileOfRecord = Annotated[str, path_below(NO_FILE), AfterValidator(_not_the_declaration)]
+FileOfRecord = Annotated[str, files.path_below(NO_FILE), AfterValidator(_not_the_declaration)]
 """Type of a key that names a file of the record."""
 
 
@@ -413,7 +396,7 @@ class Heating(Declared):
 
     @model_validator(mode="after")
     def _check_edge(self) -> Heating:
-        raise_located(edge_problems(self.recovery, self.local_angle_deg))
+        files.raise_located(edge_problems(self.recovery, self.local_angle_deg))
         if self.local_angle_deg is None and (self.elevon_factor or self.bodyflap_factor):
             key = "elevon_factor" if self.elevon_factor else "bodyflap_factor"
             raise LocatedError(((key,), "turns the surface of an edge; give `recovery` and `local_angle_deg` as well"))
@@ -424,7 +407,7 @@ class Heating(Declared):
         for names, key in ((STAGNATION, "nose_radius_m"), (FLAT_PLATE, "running_length_m")):
             if self.reference in names and getattr(self, key) is None:
                 raise LocatedError((("reference",), f'"{self.reference}" needs `{key}`; add it'))
-        raise_located(sweep_problems(self.reference, self.sweep_deg, self.recovery))
+        files.raise_located(sweep_problems(self.reference, self.sweep_deg, self.recovery))
         return self
 
 
@@ -476,7 +459,7 @@ class Segments(Declared):
             for i, s in enumerate(segments or [])
             if len(s) != 2 or s[0] > s[1]
         ]
-        raise_located(problems)
+        files.raise_located(problems)
         return segments
 
 
@@ -534,10 +517,10 @@ class RecordFile(Construction):
             for location, text in transducer_problems(self.thermocouples.transducer, self.thermocouples.sensor)
         ]
         heating = self.heating
-        files = (self.conditions.file, self.thermocouples.file, heating.ratio_table, heating.turbulent_file)
-        if len({f for f in files if f}) < sum(f is not None for f in files):
+        named = (self.conditions.file, self.thermocouples.file, heating.ratio_table, heating.turbulent_file)
+        if len({f for f in named if f}) < sum(f is not None for f in named):
             problems.append((("conditions", "file"), "two parts of the record name the same file; give each its own"))
-        raise_located(problems)
+        files.raise_located(problems)
         return self
 
 
@@ -776,7 +759,7 @@ def distinct_names(folders: Sequence[str], flight: Callable[[int], str]) -> list
 
 
 def _require_distinct(names: Sequence[str]) -> None:
-    if (twice := repeated_name(names)) is not None:
+    if (twice := files.repeated_name(names)) is not None:
         raise InputError(
             f"two records are named {twice}; leave one out, rename one, or give each its `flight` in {DECLARATION}"
         )
@@ -827,19 +810,19 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     if not os.path.isdir(home):
         raise InputError(f"{display_path(home)}: is not a directory; a record is a directory with a {DECLARATION}")
     _refuse_folder_of_records(home)
-    roots = roots_of(home / DECLARATION, root)
+    roots = files.roots_of(home / DECLARATION, root)
     roots.check_link(home / DECLARATION)
-    declared = read_toml(home / DECLARATION, RecordFile)
+    declared = files.read_toml(home / DECLARATION, RecordFile)
     heating = declared.heating
     for name in (declared.conditions.file, declared.thermocouples.file, heating.ratio_table, heating.turbulent_file):
         if name is not None:
             roots.check_link(home / name)
-    files = (heating.ratio_table, heating.turbulent_file)
-    table, turbulent = (None if file is None else read_ratio_table(home / file) for file in files)
+    named = (heating.ratio_table, heating.turbulent_file)
+    table, turbulent = (None if file is None else read_ratio_table(home / file) for file in named)
     required, optional = _condition_columns(declared, (table, turbulent))
     conditions, declared = _conditions_of_file(home / declared.conditions.file, required, optional, declared)
     columns = [*declared.thermocouples.columns]
-    thermocouples = read_csv_columns(
+    thermocouples = files.read_csv_columns(
         home / declared.thermocouples.file, ("time_s", *columns), allow_empty=columns, keep_other=False
     )
     return _check_record(declared, conditions, thermocouples, (table, turbulent), home)
@@ -876,7 +859,7 @@ def _conditions_of_file(
     density, constants = ("rho_kg_m3", "q_Pa"), declared.conditions.constants
     stated = () if required == ("time_s",) or constants.keys() & {*density} else (density,)
     if states_columns(path, required, stated) or not lacks_only_derived(path, required):
-        return read_csv_columns(path, required, optional), declared
+        return files.read_csv_columns(path, required, optional), declared
     heating, needed = declared.heating, tuple(dict.fromkeys((*required, *(("rho_kg_m3",) if stated else ()))))
     fields = {name: ConditionField(constant=value) for name, value in constants.items()}
     pressure = pressure_of_reference(heating.reference, heating.local_angle_deg)
@@ -920,7 +903,7 @@ def make_record(
     """
     home = Path(directory)
     measured = {name: np.asarray(values, dtype=float) for name, values in thermocouples.items()}
-    raise_problems(_array_problems(measured, declared, display_path(home / declared.thermocouples.file)))
+    files.raise_problems(_array_problems(measured, declared, display_path(home / declared.thermocouples.file)))
     heating = declared.heating
     # The constant ratio of a record is a table in memory, and has no file.
     ratio_table = None if heating.ratio is not None else ratio_table
@@ -969,7 +952,7 @@ def _check_record(
     available = {*conditions.columns, *declared.conditions.constants}
     spared = [n for n in SURFACES if n not in available and not _depends_on_surface(n, declared.heating, tables)]
     conditions = conditions.with_columns({name: np.zeros(len(conditions)) for name in spared})
-    raise_problems(_missing_columns(conditions, declared))
+    files.raise_problems(_missing_columns(conditions, declared))
     conditions = _whole_conditions(conditions, declared)
     # Constants are columns from here on, and would be given twice where the record is written.
     kept = {"file", "source", "confidence", "uncertainty", "noise"}
@@ -977,7 +960,7 @@ def _check_record(
     declared = declared.model_copy(
         update={"conditions": ConditionsFile(**{"file": declared.conditions.file, **stated})}
     )
-    raise_problems(
+    files.raise_problems(
         [
             *_condition_problems(conditions, declared),
             *_measurement_problems(thermocouples, declared.thermocouples.sensor),
@@ -1165,7 +1148,7 @@ def _whole_conditions(table: CsvTable, declared: RecordFile) -> CsvTable:
     """
     constants, path = declared.conditions.constants, display_path(table.path)
     twice = [name for name in constants if name in table.columns]
-    raise_problems([f"{path}: `{n}` is a column, and a constant of [conditions]; remove one" for n in twice])
+    files.raise_problems([f"{path}: `{n}` is a column, and a constant of [conditions]; remove one" for n in twice])
     rows = len(table)
     table = table.with_columns({name: np.full(rows, value) for name, value in constants.items()})
     if declared.heating.reference == "none":
@@ -1301,7 +1284,7 @@ def _reference_problems(heating: Heating, table: RatioTable, file: str) -> list[
         return []
     models = (*STAGNATION, *FLAT_PLATE)
     if table.reference not in models:
-        rule = f"unknown reference heating `{table.reference}`{suggestion(table.reference, models)}"
+        rule = f"unknown reference heating `{table.reference}`{files.suggestion(table.reference, models)}"
         return [f"{file}, header `reference`: {rule}"]
     if heating.reference in ("columns", "none", table.reference):
         return []
@@ -1326,7 +1309,7 @@ def write_record(
     """
     with record_directory(directory) as folder:
         for name, text in record_texts(record, formats, comment).items():
-            write_text_atomic(folder / name, text)
+            files.write_text_atomic(folder / name, text)
 
 
 def record_texts(record: Record, formats: Mapping[str, str] | None = None, comment: str = "") -> dict[str, str]:
@@ -1338,13 +1321,13 @@ def record_texts(record: Record, formats: Mapping[str, str] | None = None, comme
         (declared.heating.turbulent_file, record.turbulent),
     )
     return {
-        DECLARATION: toml_text(declared.model_dump(exclude_unset=True), comment),
-        declared.conditions.file: csv_text(conditions, formats),
-        declared.thermocouples.file: csv_text(record.thermocouples, formats),
+        DECLARATION: files.toml_text(declared.model_dump(exclude_unset=True), comment),
+        declared.conditions.file: files.csv_text(conditions, formats),
+        declared.thermocouples.file: files.csv_text(record.thermocouples, formats),
         **{file: ratio_table_text(table, formats) for file, table in tables if file is not None and table is not None},
     }
 
 
 def record_directory(directory: str | os.PathLike[str]) -> AbstractContextManager[Path]:
     """Context in which the files of a record are written into a directory, which lists them at the end."""
-    return output_directory(directory, "write_record")
+    return files.output_directory(directory, "write_record")

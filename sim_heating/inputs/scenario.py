@@ -26,23 +26,10 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from sim_heating.base import files
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import (
-    CsvTable,
-    Declared,
-    LocatedError,
-    Location,
-    check,
-    display_path,
-    raise_located,
-    raise_problems,
-    read_csv_columns,
-    read_toml,
-    repeated_name,
-    roots_of,
-    suggestion,
-)
+from sim_heating.base.files import CsvTable, Declared, LocatedError, Location, display_path
 from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, QUANTITIES
 from sim_heating.base.parameters import MODEL, PRESSURE_FACTOR, layer_parameter
@@ -83,7 +70,7 @@ class HeatingOptions(Declared):
                 problems.append(((i, 1), f"{row[1]:g} is not a temperature in K (1 to {HOTTEST_K:g})"))
             elif i > 0 and len(schedule[i - 1]) == 2 and row[0] <= schedule[i - 1][0]:  # type: ignore[index]
                 problems.append(((i, 0), f"{row[0]:g} does not come after {schedule[i - 1][0]:g}"))  # type: ignore[index]
-        raise_located(problems)
+        files.raise_located(problems)
         return schedule
 
     @model_validator(mode="after")
@@ -201,7 +188,7 @@ class Truth(Declared):
         for name in parameters:
             of_layer = layer_parameter(name)
             if name not in MODEL and of_layer is None:
-                raise ValueError(f"unknown parameter `{name}`{suggestion(name, MODEL, otherwise='')}")
+                raise ValueError(f"unknown parameter `{name}`{files.suggestion(name, MODEL, otherwise='')}")
             p = MODEL[name] if of_layer is None or name in MODEL else of_layer[1]
             low, high = p.lower, p.upper
             if not low <= parameters[name] <= high:
@@ -301,7 +288,7 @@ class InstrumentSet(Declared):
         words = {k: v for k, v in (("bits", self.bits), ("range_K", self.range_K)) if v is not None}
         of_set = self.sensor if self.sensor is not None else declared
         where = f"[[design.instruments]] {self.name}"
-        return tuple(check(s.model_dump(exclude_none=True) | words, Sensor, where) for s in of_set)
+        return tuple(files.check(s.model_dump(exclude_none=True) | words, Sensor, where) for s in of_set)
 
 
 class Design(Declared):
@@ -349,7 +336,7 @@ class Design(Declared):
     def _check_flights(cls, flights: list[int]) -> list[int]:
         if min(flights) < 1:
             raise ValueError(f"{min(flights)} is not a number of flights; give 1 or more")
-        if (number := repeated_name([str(n) for n in flights])) is not None:
+        if (number := files.repeated_name([str(n) for n in flights])) is not None:
             raise ValueError(f"{number} is repeated; list each number of flights once")
         return flights
 
@@ -449,7 +436,7 @@ def load_scenario(path: str | os.PathLike[str] | Scenario, *, root: str | os.Pat
     if isinstance(path, Scenario):
         return path
     file = Path(path)
-    declared = read_toml(file, ScenarioFile)
+    declared = files.read_toml(file, ScenarioFile)
     vehicle = load_vehicle(vehicle_place(file, declared.vehicle, root=root), root=root)
     return make_scenario(file, declared, vehicle, root=root)
 
@@ -469,7 +456,7 @@ def make_scenario(
     root       : as `load_scenario` takes it
     raises     : InputError as `load_scenario`
     """
-    roots = roots_of(file, root, vehicle.directory)
+    roots = files.roots_of(file, root, vehicle.directory)
     trajectory_file = declared.trajectory.file
     if trajectory_file is not None:
         roots.named(trajectory_file, "[trajectory]: `file`", code=declared.trajectory.source == "fmu")
@@ -480,7 +467,7 @@ def make_scenario(
         declared = declared.model_copy(
             update={"trajectory": declared.trajectory.model_copy(update={"file": str(file.parent / trajectory_file)})}
         )
-    raise_problems([f"{display_path(error_file or file)}: {line}" for line in _problems(declared, vehicle)])
+    files.raise_problems([f"{display_path(error_file or file)}: {line}" for line in _problems(declared, vehicle)])
     names = tuple(declared.control_points or vehicle.control_points)
     compare = []
     for i, c in enumerate(declared.compare, start=1):
@@ -495,7 +482,7 @@ def with_design(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     raises : InputError as for a scenario with these keys
     """
     old = scenario.declared.design or Design()
-    design = check({**old.model_dump(), **changes}, Design, f"{display_path(scenario.path)}, [design]")
+    design = files.check({**old.model_dump(), **changes}, Design, f"{display_path(scenario.path)}, [design]")
     return replace(scenario, declared=scenario.declared.model_copy(update={"design": design}))
 
 
@@ -526,7 +513,7 @@ def _fault_problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
     """Faults of sensors that the vehicle does not have."""
     sensors = {s.name for p in vehicle.control_points.values() for s in p.sensors}
     unknown = [f.sensor for f in declared.measurements.fault if f.sensor not in sensors]
-    return [f"[measurements], fault: unknown sensor `{n}`{suggestion(n, sensors, cutoff=0.0)}" for n in unknown]
+    return [f"[measurements], fault: unknown sensor `{n}`{files.suggestion(n, sensors, cutoff=0.0)}" for n in unknown]
 
 
 def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
@@ -605,7 +592,7 @@ def _lacking(effect: ScenarioEffect, flow: EdgeFlow) -> Iterator[str]:
 
 def _repeated_labels(compare: Sequence[Compare]) -> list[str]:
     """Results of a comparison are listed under its label."""
-    label = repeated_name([c.label for c in compare])
+    label = files.repeated_name([c.label for c in compare])
     return [] if label is None else [f"[[compare]]: the label `{label}` is repeated; give each history its own"]
 
 
@@ -632,7 +619,9 @@ def _design_problems(declared: ScenarioFile) -> list[str]:
         value = getattr(manoeuvres[vary.manoeuvre - 1], vary.key, None)
         if not isinstance(value, float):
             keys = [k for k, v in manoeuvres[vary.manoeuvre - 1] if isinstance(v, float)]
-            lines.append(f"{where}: `{vary.key}` is not a number that this manoeuvre gives{suggestion(vary.key, keys)}")
+            lines.append(
+                f"{where}: `{vary.key}` is not a number that this manoeuvre gives{files.suggestion(vary.key, keys)}"
+            )
         elif not vary.low <= value <= vary.high or not vary.low < vary.high:
             lines.append(f"{where}: {vary.key} = {value:g} as planned is not within {vary.low:g} to {vary.high:g}")
     return lines
@@ -643,7 +632,7 @@ def _selection_problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
     chosen = declared.control_points
     if not chosen:
         return []
-    name = repeated_name(chosen)
+    name = files.repeated_name(chosen)
     repeated = [] if name is None else [f"control_points: `{name}` is repeated; name it once"]
     absent = [p for p in _requested_points(declared, vehicle) if p in vehicle.control_points and p not in chosen]
     return repeated + [f"`{name}` is used but not selected in control_points; add it" for name in absent]
@@ -688,12 +677,12 @@ def _history_table(file: Path) -> CsvTable:
     raises : InputError as `read_csv_columns` where the names state neither
     """
     if states_columns(file, HISTORY):
-        return read_csv_columns(file, HISTORY)
+        return files.read_csv_columns(file, HISTORY)
     fields = read_fields(file)
     sigma = next((n for n in fields.unused if SIGMA.search(n)), "")
     scale = converted(name_and_unit(sigma, ["K"])[1], "K")
     if "time_s" not in fields.columns or "T_inf_K" not in fields.columns or scale is None:
-        return read_csv_columns(file, HISTORY)
+        return files.read_csv_columns(file, HISTORY)
     sigma_K = scale.factor * fields.numbers[sigma]  # a difference of temperatures has no offset
     columns = {"time_s": fields.columns["time_s"], "temperature_K": fields.columns["T_inf_K"], "sigma_K": sigma_K}
     read = np.all([np.isfinite(v) for v in columns.values()], axis=0)  # an empty cell is a lost sample
@@ -707,12 +696,14 @@ def _measured_history(compare: Compare, file: Path) -> MeasuredHistory:
     noise = QUANTITIES["noise_sigma_K"]
     sigma = table["sigma_K"]
     spread = table.problems_where_not("sigma_K", (sigma >= noise.lowest) & (sigma <= noise.highest), noise.rule)
-    raise_problems([*table.order_problems(), *table.celsius_problems("temperature_K"), *hot, *spread])
+    files.raise_problems([*table.order_problems(), *table.celsius_problems("temperature_K"), *hot, *spread])
     time = table["time_s"]
     until = np.inf if compare.until_s is None else compare.until_s
     inside = time <= until
     columns = {name: table[name][inside] for name in ("time_s", "temperature_K", "sigma_K")}
-    segments = check({"fit": compare.fit_s, "holdout": compare.holdout_s}, Segments, f"[[compare]] {compare.label}")
+    segments = files.check(
+        {"fit": compare.fit_s, "holdout": compare.holdout_s}, Segments, f"[[compare]] {compare.label}"
+    )
     return MeasuredHistory(
         compare.control_point,
         compare.label,

@@ -20,19 +20,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
+from sim_heating.base import files
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
 from sim_heating.base.errors import InputError, error_context, tell
-from sim_heating.base.files import (
-    check,
-    display_path,
-    raise_problems,
-    read_toml,
-    read_toml_dict,
-    roots_of,
-    settle,
-    suggestion,
-)
+from sim_heating.base.files import display_path, suggestion
 from sim_heating.base.files.package import data_folders
 from sim_heating.base.files.paths import real_path
 from sim_heating.base.files.toml import remarks_of
@@ -218,7 +210,7 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.Pa
         return vehicle
     directory = checked_directory(vehicle, root)
     for _ in range(READINGS):
-        settle(directory)
+        files.settle(directory)
         before = _change_times(directory)
         try:
             loaded = _load(directory)
@@ -238,7 +230,7 @@ def checked_directory(vehicle: str | os.PathLike[str], root: str | os.PathLike[s
     """
     directory = vehicle_directory(vehicle)
     # Once for all of its files: those of aerodynamics, guidance and attitude control are read when it flies.
-    roots_of(directory / "vehicle.toml", root).check_links(directory)
+    files.roots_of(directory / "vehicle.toml", root).check_links(directory)
     return directory
 
 
@@ -253,7 +245,7 @@ def _change_times(directory: Path) -> list[int]:
 def _load(directory: Path) -> Vehicle:
     """A vehicle from its files, all of it checked."""
     problems = _Problems()
-    file = problems.attempt(read_toml, directory / "vehicle.toml", VehicleFile)
+    file = problems.attempt(files.read_toml, directory / "vehicle.toml", VehicleFile)
     if file is not None and file.name != (folder_name := real_path(directory).name):
         problems.add(
             f'{display_path(directory / "vehicle.toml")}: `name`: "{file.name}" is not the name of its directory; '
@@ -261,7 +253,7 @@ def _load(directory: Path) -> Vehicle:
         )
     materials, invalid = _read_materials(directory, problems)
     points = _read_control_points(directory, materials, invalid, file, problems)
-    raise_problems(problems.lines)
+    files.raise_problems(problems.lines)
     assert file is not None  # else there was a problem
     return Vehicle(
         name=file.name,
@@ -339,9 +331,9 @@ def vehicle_place(file: Path, vehicle: str, key: str = "`vehicle`", root: str | 
     raises : InputError naming file and key where there is no such vehicle, or not in a folder that the file may name
     """
     if os.path.isfile(file.parent / vehicle / "vehicle.toml"):
-        return roots_of(file, root).named(vehicle, key)
+        return files.roots_of(file, root).named(vehicle, key)
     if os.path.isfile(Path(vehicle) / "vehicle.toml"):
-        return roots_of(file, root).named(vehicle, key, Path())
+        return files.roots_of(file, root).named(vehicle, key, Path())
     with error_context(f"{display_path(file)}: {key}"):
         return vehicle_directory(vehicle)
 
@@ -349,8 +341,8 @@ def vehicle_place(file: Path, vehicle: str, key: str = "`vehicle`", root: str | 
 def add_vehicle_files(digest: hashlib._Hash, directory: Path) -> None:
     """Add names and contents of all files of a vehicle that a computation may read to a digest."""
     readable = (p for p in directory.rglob("*") if p.suffix in SUFFIXES and p.is_file() and p.name[0] != ".")
-    files = (p for p in readable if p.name != REVIEWS)
-    for path in sorted(files):
+    inputs = (p for p in readable if p.name != REVIEWS)
+    for path in sorted(inputs):
         digest.update(path.relative_to(directory).as_posix().encode())
         digest.update(path.read_bytes())
 
@@ -376,7 +368,7 @@ def library_materials() -> dict[str, Material]:
     for name in vehicle_names():
         with suppress(InputError):
             directory = vehicle_directory(name)
-            roots_of(directory / "vehicle.toml").check_links(directory)
+            files.roots_of(directory / "vehicle.toml").check_links(directory)
             by_name = {**_read_materials(directory, _Problems())[0], **by_name}
     return by_name
 
@@ -397,10 +389,10 @@ def known_control_point(vehicle: str, point: str) -> ControlPoint | None:
 
 
 def _files(directory: Path, pattern: str, problems: _Problems) -> Iterator[Path]:
-    files = sorted(directory.glob(pattern))
-    if not files:
+    matching = sorted(directory.glob(pattern))
+    if not matching:
         problems.add(f"{display_path(directory)}: there is no {pattern}; a vehicle has at least one")
-    yield from files
+    yield from matching
 
 
 def _read_materials(directory: Path, problems: _Problems) -> tuple[dict[str, Material], frozenset[str]]:
@@ -429,10 +421,10 @@ def _read_materials(directory: Path, problems: _Problems) -> tuple[dict[str, Mat
 
 
 def _read_material(path: Path) -> Material | DerivedMaterial:
-    data = read_toml_dict(path)
+    data = files.read_toml_dict(path)
     if "based_on" in data:
-        return check(data, DerivedMaterial, display_path(path))
-    return check(data, Material, display_path(path))
+        return files.check(data, DerivedMaterial, display_path(path))
+    return files.check(data, Material, display_path(path))
 
 
 def _derive(path: Path, material: DerivedMaterial, complete: Mapping[str, Material]) -> Material:
@@ -443,7 +435,7 @@ def _derive(path: Path, material: DerivedMaterial, complete: Mapping[str, Materi
         )
     base = complete[material.based_on]
     data, where = material.apply(base), display_path(path)
-    derived = check(data, Material, where, tells=False)
+    derived = files.check(data, Material, where, tells=False)
     tell(remarks_of(derived, data, where, told={location for location, _ in base.unusual()}))
     return derived
 
@@ -459,35 +451,55 @@ def _read_control_points(
     points: dict[str, ControlPoint] = {}
     tables: list[tuple[str, str, RatioTable]] = []
     for path in _files(directory, "control_points/*.toml", problems):
-        file = problems.attempt(read_toml, path, ControlPointFile)
+        file = problems.attempt(files.read_toml, path, ControlPointFile)
         if file is None:
             continue
-        if file.name != path.stem:
-            problems.add(f'{display_path(path)}: `name`: "{file.name}" is not the name of the file')
-        if vehicle is not None:
-            problems.add_all(_vehicle_problems(path, file, vehicle))
-            tell(_position_remarks(path, file, vehicle))
-        construction = None
-        if invalid.isdisjoint(layer.material for layer in file.stack.layer):
-            construction = problems.attempt(_construct_wall, file, materials, display_path(path))
-        recovery = recovery_of(file, None if vehicle is None else vehicle.heating)
-        ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle, recovery)
-        turbulent = problems.attempt(_read_turbulent, path, file, vehicle, recovery)
-        tables += [(file.name, file.ratio_table, ratio)] if ratio is not None else []
-        tables += [(file.name, file.ratio_table_turbulent or "", table) for table in turbulent or ()]
-        effects = problems.attempt(_effects, path, file, vehicle)
-        if construction is None or ratio is None or turbulent is None or effects is None:
-            continue
-        flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
-        if flow is not None:
-            declared = (_transition(file, vehicle), _catalysis(file, vehicle))
-            control_point = _control_point(file, construction, ratio, effects, flow, *declared)
-            upstream = _upstream(path, file, materials, invalid, problems)
-            points[file.name] = replace(control_point, upstream=upstream)
+        point, of_point = _read_control_point(path, file, materials, invalid, vehicle, problems)
+        tables += of_point
+        if point is not None:
+            points[file.name] = point
     if len(points) == len(list(directory.glob("control_points/*.toml"))):
         problems.add_all(_interface_problems(directory, points))
     problems.add_all((*_repeated_sensors(directory, points), *_tables_of_others(directory, tables)))
     return points
+
+
+def _read_control_point(
+    path: Path,
+    file: ControlPointFile,
+    materials: Mapping[str, Material],
+    invalid: frozenset[str],
+    vehicle: VehicleFile | None,
+    problems: _Problems,
+) -> tuple[ControlPoint | None, list[tuple[str, str, RatioTable]]]:
+    """A control point, None where it has problems, and its tables that can be read, by point and file."""
+    _check_declaration(path, file, vehicle, problems)
+    construction = None
+    if invalid.isdisjoint(layer.material for layer in file.stack.layer):
+        construction = problems.attempt(_construct_wall, file, materials, display_path(path))
+    recovery = recovery_of(file, None if vehicle is None else vehicle.heating)
+    ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle, recovery)
+    turbulent = problems.attempt(_read_turbulent, path, file, vehicle, recovery)
+    tables = [] if ratio is None else [(file.name, file.ratio_table, ratio)]
+    tables += [(file.name, file.ratio_table_turbulent or "", table) for table in turbulent or ()]
+    effects = problems.attempt(_effects, path, file, vehicle)
+    if construction is None or ratio is None or turbulent is None or effects is None:
+        return None, tables
+    flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
+    if flow is None:
+        return None, tables
+    declared = (_transition(file, vehicle), _catalysis(file, vehicle))
+    control_point = _control_point(file, construction, ratio, effects, flow, *declared)
+    return replace(control_point, upstream=_upstream(path, file, materials, invalid, problems)), tables
+
+
+def _check_declaration(path: Path, file: ControlPointFile, vehicle: VehicleFile | None, problems: _Problems) -> None:
+    """Report where the declaration of a control point fits neither its file nor its vehicle."""
+    if file.name != path.stem:
+        problems.add(f'{display_path(path)}: `name`: "{file.name}" is not the name of the file')
+    if vehicle is not None:
+        problems.add_all(_vehicle_problems(path, file, vehicle))
+        tell(_position_remarks(path, file, vehicle))
 
 
 def _vehicle_problems(path: Path, file: ControlPointFile, vehicle: VehicleFile) -> Iterator[str]:

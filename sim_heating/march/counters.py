@@ -9,18 +9,6 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels import block
 from sim_heating.march.lanes import LaneMemory
 
-CLEARED = (
-    block.FAILED,
-    block.ITERATIONS,
-    block.STEPS,
-    block.OUTSIDE,
-    block.NEGATIVE,
-    block.ENERGY_IN,
-    block.ENERGY_OUT,
-    block.LAG_PAST,
-)
-"""Rows that a march begins with 0."""
-
 
 class Counters:
     """What has been counted of the points of an ensemble since its last reset."""
@@ -34,7 +22,7 @@ class Counters:
         """
         for g in range(len(self._memory.groups)):
             B = self._memory.block(g)
-            for row in CLEARED:
+            for row in (*block.COUNTERS, block.LAG_PAST):
                 B[block.scalar_row(row)] = 0.0
             B[block.scalar_row(block.COLUMN)] = -1.0
 

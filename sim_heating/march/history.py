@@ -305,11 +305,7 @@ def range_lines(points: Mapping[str, Mapping[str, Any]], shown: int | None = Non
     if negative:
         longest = f"{'up to ' if len(negative) > 1 else ''}{max(negative.values()):.0f} s"
         lines.append(f"The heating ratio of {first_of(list(negative), shown)} was negative for {longest}")
-    outside: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for name, point in points.items():
-        for o in point["outside_table"]:
-            outside.setdefault(o["variable"], {})[name] = o
-    for variable, by_name in outside.items():
+    for variable, by_name in _outside_tables(points).items():
         longest_s, farthest = (max(o[key] for o in by_name.values()) for key in ("duration_s", "farthest"))
         unit = " deg" if variable.endswith("_deg") else ""
         lines.append(
@@ -317,6 +313,15 @@ def range_lines(points: Mapping[str, Mapping[str, Any]], shown: int | None = Non
             f"{farthest:.3g}{unit} beyond; the edge value was held (details in summary.json)"
         )
     return lines
+
+
+def _outside_tables(points: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Mapping[str, Any]]]:
+    """Variable -> point -> how far and how long it lay outside the point's ratio table."""
+    outside: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for name, point in points.items():
+        for o in point["outside_table"]:
+            outside.setdefault(o["variable"], {})[name] = o
+    return outside
 
 
 def rising_bondlines(points: Mapping[str, Mapping[str, Any]], shown: int | None = None) -> list[str]:

@@ -115,13 +115,17 @@ def _grouped(nodes: Sequence[int], kinds: Sequence[int], behind: Mapping[int, in
     with_room: list[int] = []
     # Padding behind the back costs as much as nodes do: neighbours in node count share a group.
     for i in sorted(group_of, key=lambda i: (kinds[i], -nodes[i], i)):
-        alike = (first for first in with_room if kinds[first] == kinds[i])
-        first = next((f for f in alike if not behind or _groups_in_order(group_of | {i: f}, behind)), i)
-        group_of[i] = first
+        alike = [first for first in with_room if kinds[first] == kinds[i]]
+        group_of[i] = first = _group_to_join(i, alike, group_of, behind)
         members.setdefault(first, []).append(i)
         with_room = [f for f in dict.fromkeys([*with_room, first]) if len(members[f]) < LANES]
     first_of = {i: first for first, points in members.items() for i in points}  # the lowest kind comes first
     return [members[first] for first in _groups_in_order(first_of, behind)]
+
+
+def _group_to_join(i: int, groups: Sequence[int], group_of: dict[int, int], behind: Mapping[int, int]) -> int:
+    """The first of several groups with which walls upstream stay in groups before; the point's own without one."""
+    return next((first for first in groups if not behind or _groups_in_order(group_of | {i: first}, behind)), i)
 
 
 def _groups_in_order(group_of: Mapping[int, int], behind: Mapping[int, int]) -> list[int]:

@@ -24,29 +24,10 @@ from sim_heating.heating.effects.compiled import unusable_value
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import Flights, set_flight_conditions
 from sim_heating.march.point import PointModel, initial_temperatures
+from sim_heating.thermal import sensitivity
 from sim_heating.thermal.frame import EVALUATE_START, NOT_CONTROLLED_K, shift_conditions
 from sim_heating.thermal.mesh import Mesh
-from sim_heating.thermal.sensitivity import (
-    ACTS_ALONG_GAP,
-    ACTS_AT_FACES,
-    ACTS_IN_ROWS,
-    OWN_PERTURBATION,
-    VECTOR,
-    PerturbedGroups,
-    PerturbedOffsets,
-    assemble_perturbed,
-    assembly_addresses,
-    begin_columns,
-    content_columns,
-    copy_columns,
-    first_right_hand_side,
-    net_columns,
-    no_perturbed_groups,
-    parabola,
-    parabola_rate,
-    second_right_hand_side,
-    solve_columns,
-)
+from sim_heating.thermal.sensitivity import PerturbedGroups, PerturbedOffsets
 from sim_heating.thermal.step import STAGE_WEIGHT, LaneGroup
 
 PERTURBATION = 1e-5
@@ -180,21 +161,31 @@ def _sides(both: bool) -> tuple[float, ...]:
 def _perturbed_lanes(i: int, track: Track) -> list[PerturbedLane]:
     """The perturbed lanes of a track, the nominal one first; none for a track without sensitivities."""
     lanes = [PerturbedLane(i)] if track.columns else []
-    # A lag mixes earlier values of dr/dp into the present ratio, so that one lane cannot serve all parameters.
-    remembered = any(used.effect.lags for used in track.model.effects)
-    shared = () if remembered else tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
-    if shared:
+    if shared := _sharing_columns(track):
         by, both = perturbation(track.model, RATIO_ITSELF)
         lanes += [PerturbedLane(i, shared, RATIO_ITSELF, side * by, both, at_faces=True) for side in _sides(both)]
     for column, name in enumerate(track.names):
         if column not in shared:
             (by, both), at_faces = perturbation(track.model, name), track.model.at_faces(name)
             lanes += [PerturbedLane(i, (column,), name, side * by, both, at_faces) for side in _sides(both)]
+    return lanes + _lanes_of_table_errors(i, track)
+
+
+def _sharing_columns(track: Track) -> tuple[int, ...]:
+    """Sensitivities that follow from the one to the ratio itself, by one perturbed lane or two."""
+    # A lag mixes earlier values of dr/dp into the present ratio, so that one lane cannot serve all parameters.
+    if any(used.effect.lags for used in track.model.effects):
+        return ()
+    return tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
+
+
+def _lanes_of_table_errors(i: int, track: Track) -> list[PerturbedLane]:
+    """The perturbed lanes of the errors of a track's ratio table."""
     tables = range(len(track.names), len(track.names) + len(track.table_errors))
     # Where the balance is affine in the ratio, a whole unit of the error gives the exact derivative.
     both = _curved_in_ratio(track.model)
     by = PERTURBATION if both else 1.0
-    return lanes + [
+    return [
         PerturbedLane(i, (column,), by=side * by, both=both, at_faces=True)
         for column in tables
         for side in _sides(both)
@@ -266,7 +257,7 @@ class LinearMarch:
         """The perturbed lanes as the kernel takes them."""
         e = self.perturbed
         if e is None:
-            return no_perturbed_groups()
+            return sensitivity.no_perturbed_groups()
         owner = np.array([perturbed.track for perturbed in self._lanes])
         assembled = {
             offsets.group
@@ -274,11 +265,11 @@ class LinearMarch:
             if not perturbed.at_faces
         }
         source = self._lane_of[owner][e.lanes].astype(np.int64)
-        return PerturbedGroups(e.ints, e.groups, len(assembled), source, *assembly_addresses())
+        return PerturbedGroups(e.ints, e.groups, len(assembled), source, *sensitivity.assembly_addresses())
 
     def _offsets(self, m: int) -> PerturbedOffsets:
         """Offsets of the perturbed lanes of each track, with m columns for each lane."""
-        faces = ACTS_ALONG_GAP if self.nominal.memory.integers(0)[GAPS] == 1 else ACTS_AT_FACES
+        faces = sensitivity.ACTS_ALONG_GAP if self.nominal.memory.integers(0)[GAPS] == 1 else sensitivity.ACTS_AT_FACES
         if (m, faces) not in self._cached_offsets:
             self._cached_offsets[m, faces] = self._find_offsets(m, faces)
         return self._cached_offsets[m, faces]
@@ -286,7 +277,7 @@ class LinearMarch:
     def _find_offsets(self, m: int, faces: int) -> PerturbedOffsets:
         at, inverse = np.zeros(LANES, dtype=np.int64), np.zeros((LANES, m))
         plus, minus, reach = np.zeros((3, LANES, m), dtype=np.int64)
-        linear = np.full((LANES, m), OWN_PERTURBATION)
+        linear = np.full((LANES, m), sensitivity.OWN_PERTURBATION)
         lane_offsets = () if self.perturbed is None else self.perturbed.lane_offsets
         for perturbed, offsets in zip(self._lanes, lane_offsets, strict=True):
             lane, columns, first = self._lane_of[perturbed.track], list(perturbed.columns), offsets.node_0
@@ -297,7 +288,7 @@ class LinearMarch:
                 minus[lane, columns] = first
             else:
                 plus[lane, columns], inverse[lane, columns] = first, (0.5 if perturbed.both else 1.0) / perturbed.by
-                reach[lane, columns] = faces if perturbed.at_faces else ACTS_IN_ROWS
+                reach[lane, columns] = faces if perturbed.at_faces else sensitivity.ACTS_IN_ROWS
                 if perturbed.name == RATIO_ITSELF:
                     linear[lane, columns] = [LINEAR_RATIO[self.tracks[perturbed.track].names[k]] for k in columns]
         return PerturbedOffsets(at, plus, minus, inverse, reach, linear, self._nodes)
@@ -397,13 +388,7 @@ class LinearMarch:
 
         Derived in docs/theory/equations_march.md, equations 4 to 8.
         """
-        shifts = [0.0] * len(self.tracks) if shifts_s is None else list(shifts_s)
-        times = [track.sample_s + shift for track, shift in zip(self.tracks, shifts, strict=True)]
-        times = [np.maximum(t, self.time_s[0]) if i.at_rest else t for i, t in zip(self.tracks, times, strict=True)]
-        for track, t in zip(self.tracks, times, strict=True):
-            outside = np.count_nonzero((t < self.time_s[0]) | (t > self.time_s[-1]))
-            if outside:
-                raise InputError(f"{track.model.name}: {outside} samples lie outside the march; leave them out")
+        times = self._sample_times([0.0] * len(self.tracks) if shifts_s is None else shifts_s)
         started = self._begin([t.initial_K for t in self.tracks] if initial_K is None else initial_K)
         m = max(track.columns for track in self.tracks)
         requested = self._requested(times)
@@ -426,6 +411,20 @@ class LinearMarch:
         failed = self.nominal.failed()
         return [None if failed[i] or not started[i] else self._result(i, out) for i in range(len(self.tracks))]
 
+    def _sample_times(self, shifts_s: Sequence[float]) -> list[FloatArray]:
+        """Times [s] at which each track is read.
+
+        raises : InputError where one lies outside the march
+        """
+        times = []
+        for track, shift in zip(self.tracks, shifts_s, strict=True):
+            t = track.sample_s + shift
+            times.append(np.maximum(t, self.time_s[0]) if track.at_rest else t)
+            outside = np.count_nonzero((times[-1] < self.time_s[0]) | (times[-1] > self.time_s[-1]))
+            if outside:
+                raise InputError(f"{track.model.name}: {outside} samples lie outside the march; leave them out")
+        return times
+
     def _begin(self, initial_K: Sequence[FloatArray | None]) -> list[bool]:
         """Set nominal and perturbed lanes to the start of the march.
 
@@ -447,7 +446,7 @@ class LinearMarch:
 
     def _start_columns(self, m: int) -> Columns:
         """Room for m sensitivities, in whole vectors of four, with those at the start in `end`."""
-        size = (LANES, int(self._nodes.max()), -(-m // VECTOR) * VECTOR)
+        size = (LANES, int(self._nodes.max()), -(-m // sensitivity.VECTOR) * sensitivity.VECTOR)
         columns = Columns(*np.zeros((len(Columns._fields), *size)))
         start = columns.end
         for i, track in enumerate(self.tracks):
@@ -512,8 +511,8 @@ def _read_samples(
     k, m = first, requested.columns[lane]
     while k < requested.samples[lane] and requested.time_s[lane, k] <= begun_s + dt:
         x = (requested.time_s[lane, k] - begun_s) / dt
-        w0, w1, w2 = parabola(x)
-        d0, d1, d2 = parabola_rate(x, dt)
+        w0, w1, w2 = sensitivity.parabola(x)
+        d0, d1, d2 = sensitivity.parabola_rate(x, dt)
         for j in range(requested.reads[lane]):
             i = requested.nodes[lane, j]
             a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
@@ -566,10 +565,10 @@ def march_linear(
     set_flight_conditions(B, flights, 0)
     call_step(group.advance, b, j, t, group.dispatcher, EVALUATE_START)
     # With 1 s for the time step the rows give f as the difference of content and residual.
-    assemble_perturbed(group, X, perturbed, T, 2, 1.0)
+    sensitivity.assemble_perturbed(group, X, perturbed, T, 2, 1.0)
     for lane in range(LANES):
         if requested.columns[lane] > 0:
-            begin_columns(x, offsets, lane, m, end, e, f, lane * count, width)
+            sensitivity.begin_columns(x, offsets, lane, m, end, e, f, lane * count, width)
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
         shift_conditions(b)
@@ -577,22 +576,22 @@ def march_linear(
         call_step(group.advance, b, j, t, group.dispatcher, dt)
         ddt = STAGE_WEIGHT * dt
         # Nominal temperatures first: the perturbed lanes are assembled at the stages to which the step converged.
-        assemble_perturbed(group, X, perturbed, T_STAGE, 1, ddt)
+        sensitivity.assemble_perturbed(group, X, perturbed, T_STAGE, 1, ddt)
         for lane in range(LANES):
             if requested.columns[lane] > 0:
                 at = lane * count
-                copy_columns(end, begun, at, count)
-                first_right_hand_side(e, f, dt, star, at, count)
-                solve_columns(x, offsets, lane, m, ddt, star, stage, at, width, reduced)
-                content_columns(x, offsets, lane, m, stage, middle, at, width)
-        assemble_perturbed(group, X, perturbed, T, 2, ddt)
+                sensitivity.copy_columns(end, begun, at, count)
+                sensitivity.first_right_hand_side(e, f, dt, star, at, count)
+                sensitivity.solve_columns(x, offsets, lane, m, ddt, star, stage, at, width, reduced)
+                sensitivity.content_columns(x, offsets, lane, m, stage, middle, at, width)
+        sensitivity.assemble_perturbed(group, X, perturbed, T, 2, ddt)
         for lane in range(LANES):
             if requested.columns[lane] > 0:
                 at = lane * count
-                second_right_hand_side(e, middle, star, at, count)
-                solve_columns(x, offsets, lane, m, ddt, star, end, at, width, reduced)
-                content_columns(x, offsets, lane, m, end, e, at, width)
-                net_columns(e, star, dt, f, at, count)
+                sensitivity.second_right_hand_side(e, middle, star, at, count)
+                sensitivity.solve_columns(x, offsets, lane, m, ddt, star, end, at, width, reduced)
+                sensitivity.content_columns(x, offsets, lane, m, end, e, at, width)
+                sensitivity.net_columns(e, star, dt, f, at, count)
         for lane in range(LANES):
             next_sample[lane] = _read_samples(B, lane, time_s[k - 1], dt, S, requested, next_sample[lane], out)
     # A pointer does not keep what it points to: the array is still needed here.

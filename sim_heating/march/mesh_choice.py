@@ -108,24 +108,41 @@ def meshes_on_flights(
     Results are cached for each point and flight. Derived in docs/theory/equations_march.md, equation 16.
     """
     meshes = [mesh for mesh, _ in choose_meshes(models, step_s)]
-    time_s, histories = flights[0].time_s, [condition_history(flight) for flight in flights]
+    time_s, histories = flights[0].time_s, list(map(condition_history, flights))
     keys = [_flown_key(m, mesh, step_s, time_s, h) for m, mesh, h in zip(models, meshes, histories, strict=True)]
     confirmed = {key: _CONFIRMED[key] for key in keys if key in _CONFIRMED}
     trying = {i: mesh for i, (key, mesh) in enumerate(zip(keys, meshes, strict=True)) if key not in confirmed}
-    while trying:
-        flown = np.stack([histories[i] for i in trying])
-        errors = _flown_errors([models[i] for i in trying], list(trying.values()), step_s, time_s, flown)
-        again: dict[int, Mesh] = {}
-        for (i, mesh), error in zip(trying.items(), errors, strict=True):
-            confirmed[keys[i]] = (mesh, error)
-            nodes = _next_count(mesh.nodes, error) if error is not None and models[i].nodes is None else None
-            if nodes is not None:
-                again[i] = mesh_of_nodes(models[i], nodes, step_s)
-        trying = again
+    refined = _refine_on_flights(models, trying, step_s, time_s, histories)
+    confirmed |= {keys[i]: of_point for i, of_point in refined.items()}
     _CONFIRMED.update(confirmed)
     while len(_CONFIRMED) > KEPT:
         _CONFIRMED.pop(next(iter(_CONFIRMED)), None)
     return [confirmed[key] for key in keys]
+
+
+def _refine_on_flights(
+    models: Sequence[PointModel],
+    trying: Mapping[int, Mesh],
+    step_s: float,
+    time_s: FloatArray,
+    histories: Sequence[FloatArray],
+) -> dict[int, tuple[Mesh, float | None]]:
+    """Point -> mesh and its error on the point's flight [K], from the meshes to try first."""
+    refined: dict[int, tuple[Mesh, float | None]] = {}
+    while trying:
+        flown = np.stack([histories[i] for i in trying])
+        errors = _flown_errors([models[i] for i in trying], list(trying.values()), step_s, time_s, flown)
+        tried = dict(zip(trying, zip(trying.values(), errors, strict=True), strict=True))
+        refined |= tried
+        finer = {i: _finer_mesh(models[i], *of_point, step_s) for i, of_point in tried.items()}
+        trying = {i: mesh for i, mesh in finer.items() if mesh is not None}
+    return refined
+
+
+def _finer_mesh(model: PointModel, mesh: Mesh, error_K: float | None, step_s: float) -> Mesh | None:
+    """The mesh to try next on a flight; None where the error is small or not known, or the node count prescribed."""
+    nodes = None if error_K is None or model.nodes is not None else _next_count(mesh.nodes, error_K)
+    return None if nodes is None else mesh_of_nodes(model, nodes, step_s)
 
 
 _Key = tuple[str, tuple[float, ...], int | None, float]

@@ -121,8 +121,8 @@ class PointWriter:
         offsets, uses, ratio = self.memory.offsets[i], kernel_effects(model), model.ratio
         J = self.memory.integers(offsets.group)
         modes = [u.effect.mode for u in uses]
-        lagging = next((k for k, u in enumerate(uses) if u.effect.lags), block.NONE)
-        turning = next((k for k, u in enumerate(uses) if u.effect.name == TRANSITION), block.NONE)
+        lagging = _slot(u.effect.lags for u in uses)
+        turning = _slot(u.effect.name == TRANSITION for u in uses)
         on_ratio = len(uses) - modes.count("emittance")
         table = block.NO_TABLE if ratio is None else self.tables.place(("ratio", id(ratio)), lambda: pack_table(ratio))
         for row, value in (
@@ -181,3 +181,8 @@ def _first_at_wall(on_ratio: Sequence[Effect]) -> int:
 
 def _distinct_effects(models: Iterable[PointModel]) -> tuple[Effect, ...]:
     return tuple(dict.fromkeys(u.effect for m in models for u in m.effects if u.effect.kernel))
+
+
+def _slot(flags: Iterable[bool]) -> int:
+    """Slot of the first effect of which something holds, NONE without one."""
+    return next((k for k, flag in enumerate(flags) if flag), block.NONE)

@@ -139,13 +139,11 @@ class PointModel:
         indices = dict(VALUE_INDEX)
         for slot, name in enumerate(_slot_names(self.construction)):
             layers = [i for i, layer_name in enumerate(stack.layer_names) if layer_name == name]
-            role = RSI_PREFIX if layers == [insulation] else COATING_PREFIX if layers == [0] else None
-            of_role_alone = {} if role is None else {n: k for n, k in VALUE_INDEX.items() if n.startswith(role)}
-            for n, index in of_role_alone.items():
-                indices.setdefault(f"{STACK_PREFIX}{name}.{n.rpartition('.')[2]}", index)
+            of_role = _values_of_role(layers, insulation)
+            for parameter, index in of_role.items():
+                indices.setdefault(f"{STACK_PREFIX}{name}.{parameter}", index)
             for k, p in enumerate(LAYER):
-                of_role = None if role is None else VALUE_INDEX.get(f"{role}{p.name}")
-                index = len(MODEL) + elements.OWN_WIDTH * slot + k if of_role is None else of_role
+                index = of_role.get(p.name, len(MODEL) + elements.OWN_WIDTH * slot + k)
                 if indices.setdefault(f"{STACK_PREFIX}{name}.{p.name}", index) != index:
                     indices[f"{STACK_PREFIX}{name}.{p.name}"] = AMBIGUOUS
         return indices
@@ -390,6 +388,14 @@ def check_one_name(where: str, indices: Mapping[str, int], names: Iterable[str])
         first = seen.setdefault(indices.get(name, AMBIGUOUS), name)
         if name in indices and first != name:
             raise InputError(f"{where}: `{first}` and `{name}` are one parameter of the same layer; name it once")
+
+
+def _values_of_role(layers: Sequence[int], insulation: int) -> dict[str, int]:
+    """Parameter -> index in the values, of the role that layers of one name have; empty where they have none."""
+    role = RSI_PREFIX if layers == [insulation] else COATING_PREFIX if layers == [0] else None
+    if role is None:
+        return {}
+    return {name.removeprefix(role): k for name, k in VALUE_INDEX.items() if name.startswith(role)}
 
 
 def _slot_names(construction: Construction) -> list[str]:

@@ -28,34 +28,8 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import FRAME, LINE_TOLERANCE, LINE_TOLERANCE_SHARE
-from sim_heating.base.kernels.block import (
-    AIR_K,
-    ALPHA,
-    BETA,
-    BODYFLAP,
-    CURVE,
-    DISSOCIATION,
-    ELEVON,
-    FAILED,
-    H_REF,
-    JETS,
-    LANES,
-    LOG10_RE,
-    LOG10_RE_THETA_M,
-    MACH,
-    N_CONDITIONS,
-    NO_TABLE,
-    P_SURFACE,
-    RATE,
-    RECOVERY_ENTHALPY,
-    RECOVERY_RISE,
-    STILL_AIR,
-    SURROUNDINGS,
-    TIME,
-    TURBULENT_RATIO,
-    UPSTREAM,
-    T,
-)
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.kernels.lag import lag_step
 from sim_heating.base.kernels.operations import pointer
@@ -252,14 +226,14 @@ def _film_at_point(
     h_ref     : in continuum flow;  x : conditions of the point, its ratio variables and recovery enthalpy among them
     incidence : of a surface, this one perhaps
     """
-    angle = surface_angle(code, x[ALPHA], x[ELEVON], x[BODYFLAP], sweep_deg, point, RECOVERY_AT)
+    angle = surface_angle(code, x[block.ALPHA], x[block.ELEVON], x[block.BODYFLAP], sweep_deg, point, RECOVERY_AT)
     # Most of an entry ends here, without the look-up of the ratio.
     if h_ref == 0.0 or is_dense(rho, V, incidence_at(angle, incidence).sine, point[FLOW_AT + LARGEST] * h_ref):
         return h_ref
     at = int(point[FLOW_AT + LAMINAR_AT])
-    ratio = table_ratio(tables, at, x, 0) if at != NO_TABLE else 1.0
+    ratio = table_ratio(tables, at, x, 0) if at != block.NO_TABLE else 1.0
     speed = max(V, SLOWEST_M_S)
-    return bridged_film(h_ref, free_molecular_film(rho, speed, T_inf, angle, x[RECOVERY_ENTHALPY]), ratio)
+    return bridged_film(h_ref, free_molecular_film(rho, speed, T_inf, angle, x[block.RECOVERY_ENTHALPY]), ratio)
 
 
 @njit
@@ -285,7 +259,7 @@ def derive_conditions(
     for i in range(len(lanes)):
         # Lanes that fill a group repeat its last point.
         if i > 0 and lanes[i] == lanes[i - 1]:
-            for c in range(N_CONDITIONS):
+            for c in range(block.N_CONDITIONS):
                 vectors[i, c] = vectors[i - 1, c]
             continue
         # Pointers: an array goes to each kernel as seven numbers.
@@ -294,25 +268,25 @@ def derive_conditions(
         if point[RUNNING_LENGTH] != length:
             length = point[RUNNING_LENGTH]
             h_ref = reference_film_kernel(code, rho, V, T_inf, alpha, radius, length, COLD_WALL_K, state, host[SWEEP])
-        vector[ALPHA], vector[BETA], vector[LOG10_RE] = alpha, beta, log10_re
-        vector[ELEVON], vector[BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
-        vector[P_SURFACE], incidence = pressure_below_rise(
+        vector[block.ALPHA], vector[block.BETA], vector[block.LOG10_RE] = alpha, beta, log10_re
+        vector[block.ELEVON], vector[block.BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
+        vector[block.P_SURFACE], incidence = pressure_below_rise(
             p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point, incidence
         )
-        vector[RECOVERY_ENTHALPY], vector[RECOVERY_RISE], incidence = point_recovery_kernel(
+        vector[block.RECOVERY_ENTHALPY], vector[block.RECOVERY_RISE], incidence = point_recovery_kernel(
             H_0, V, alpha, frame[F_ELEVON], frame[F_BODYFLAP], point, RECOVERY_AT, incidence
         )
-        vector[H_REF] = _film_at_point(
+        vector[block.H_REF] = _film_at_point(
             code, h_ref, rho, V, T_inf, vector, host[SWEEP], point, pointer(points.tables), incidence
         )
-        vector[SURROUNDINGS] = host[AROUND]
+        vector[block.SURROUNDINGS] = host[AROUND]
         if host[BY_ALTITUDE] > 0.0:
-            vector[STILL_AIR], vector[AIR_K] = still_air_kernel(V, p_inf), T_inf
+            vector[block.STILL_AIR], vector[block.AIR_K] = still_air_kernel(V, p_inf), T_inf
             if host[AROUND] == 0.0:
-                vector[SURROUNDINGS] = surroundings_kernel(T_inf, p_inf, point[GROUND_VIEW])
-        vector[JETS], vector[MACH], vector[TIME] = frame[F_JETS], mach, frame[F_TIME]
-        vector[TURBULENT_RATIO], vector[LOG10_RE_THETA_M], vector[DISSOCIATION], edge = edge_flow_kernel(
-            state, V, vector, point, FLOW_AT, pointer(points.tables), edge
+                vector[block.SURROUNDINGS] = surroundings_kernel(T_inf, p_inf, point[GROUND_VIEW])
+        vector[block.JETS], vector[block.MACH], vector[block.TIME] = frame[F_JETS], mach, frame[F_TIME]
+        vector[block.TURBULENT_RATIO], vector[block.LOG10_RE_THETA_M], vector[block.DISSOCIATION], edge = (
+            edge_flow_kernel(state, V, vector, point, FLOW_AT, pointer(points.tables), edge)
         )
 
 
@@ -329,8 +303,8 @@ def follow_upstream_walls(
     for i in range(first, last):
         offset = int(points.numbers[lanes[i], UPSTREAM_PLACE])
         if offset >= 0:
-            vectors[i, UPSTREAM] = upstream_enthalpy(
-                state[offset], vectors[i, P_SURFACE], points.numbers[lanes[i], UPSTREAM_CP]
+            vectors[i, block.UPSTREAM] = upstream_enthalpy(
+                state[offset], vectors[i, block.P_SURFACE], points.numbers[lanes[i], UPSTREAM_CP]
             )
 
 
@@ -367,8 +341,8 @@ def advance_behind_walls(
         for g in range(len(groups)):
             first = g * LANES
             for i in range(first, first + LANES):
-                now = groups[g, BLOCK_START] + END_STAGE + (i - first) * N_CONDITIONS
-                for c in range(N_CONDITIONS):
+                now = groups[g, BLOCK_START] + END_STAGE + (i - first) * block.N_CONDITIONS
+                for c in range(block.N_CONDITIONS):
                     # c + 1 (then - c) need not be `then` in floating point.
                     change = fraction * (then[i, c] - state[now + c])
                     vectors[i, c] = state[now + c] + change if fraction < 1.0 else then[i, c]
@@ -386,7 +360,7 @@ def derive_history(
     frames    : (time, len(FRAME))
     histories : (lane, time, condition), filled
     """
-    vectors = np.zeros((len(lanes), N_CONDITIONS))
+    vectors = np.zeros((len(lanes), block.N_CONDITIONS))
     for k in range(len(frames)):
         derive_conditions(frames[k], host, points, lanes, vectors)
         histories[:, k] = vectors
@@ -404,8 +378,8 @@ def _update_parabolas(state: FloatArray, offsets: IntArray, published: FloatArra
         if published[TAU, i] > 0.0:
             sensed = lag_step(published[LAGGED, i], published[VALUE, i], end, dt / published[TAU, i])
         published[CURRENT, i], published[VALUE, i], published[LAGGED, i] = sensed, end, sensed
-        published[LINEAR, i] = state[offsets[i] + (RATE - T) * LANES]
-        published[QUADRATIC, i] = state[offsets[i] + (CURVE - T) * LANES]
+        published[LINEAR, i] = state[offsets[i] + (block.RATE - block.T) * LANES]
+        published[QUADRATIC, i] = state[offsets[i] + (block.CURVE - block.T) * LANES]
     return largest
 
 
@@ -537,5 +511,5 @@ def heat_points(
     failed = 0.0
     for g in range(len(all_lanes.groups)):
         for lane in range(LANES):
-            failed += all_lanes.state[all_lanes.groups[g, BLOCK_START] + FAILED * LANES + lane]
+            failed += all_lanes.state[all_lanes.groups[g, BLOCK_START] + block.FAILED * LANES + lane]
     return GOOD if failed == 0.0 else NOT_CONVERGED

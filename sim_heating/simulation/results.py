@@ -125,10 +125,7 @@ def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float
         Column("peak bondline", "peak_bondline_K", ".0f", "K"),
         Column("margin", "bondline_margin_K", "+.0f", "K"),
     ]
-    points = {name: {**point, **point.get("band", {})} for name, point in summary["control_points"].items()}
-    for point in points.values():
-        if point["bondline_margin_K"] is None and is_hot_structure(point["peak_surface_K"], point["peak_bondline_K"]):
-            point["peak_bondline_K"] = None
+    points = {name: _cells_of_point(point) for name, point in summary["control_points"].items()}
     if any("band" in point for point in points.values()):
         ends = ("surface", "bondline")
         columns += [Column(f"{name} margin at the band", f"{name}_margin_at_band_K", "+.0f", "K") for name in ends]
@@ -138,6 +135,14 @@ def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float
             point["rmse_K"] = rmse_K.get(name, "")
     rows = [[name, *(point.get(c.key) for c in columns[1:])] for name, point in points.items()]
     return Table(title, columns, rows)
+
+
+def _cells_of_point(point: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries of a point of a run, with those of its band; the peak of a bondline in hot structure is none."""
+    cells = {**point, **point.get("band", {})}
+    if cells["bondline_margin_K"] is None and is_hot_structure(cells["peak_surface_K"], cells["peak_bondline_K"]):
+        cells["peak_bondline_K"] = None
+    return cells
 
 
 def rmse_table(title: str, rmse_K: Mapping[str, float]) -> Table:
@@ -166,17 +171,21 @@ def limits_in_words(summary: Mapping[str, Any]) -> str:
     if not count:
         return "No point has a temperature limit"
     exceeding = _excesses(margins)
-    if exceeding:
-        verb = "exceeds" if len(exceeding) == 1 else "exceed"
-        line = f"{len(exceeding)} of {count} points with limits {verb} them: {', '.join(exceeding.values())}"
-    else:
-        line = f"All {count} points with limits keep them" if count > 1 else "The point keeps its limits"
+    line = _line_of_limits(count, exceeding)
     at_band = {n: _margins_of_summary(p.get("band", {}), "margin_at_band_K") for n, p in points.items()}
     others = [text for name, text in _excesses(at_band).items() if name not in exceeding]
     if not others:
         return line
     more = f"{len(others)} more" if exceeding else f"{len(others)} exceed{'s' if len(others) == 1 else ''} them"
     return f"{line}. At the upper end of the {100.0 * BAND_PROBABILITY:.0f} % band {more}: {', '.join(others)}"
+
+
+def _line_of_limits(count: int, exceeding: Mapping[str, str]) -> str:
+    """How many of the points with limits exceed them, and which."""
+    if exceeding:
+        verb = "exceeds" if len(exceeding) == 1 else "exceed"
+        return f"{len(exceeding)} of {count} points with limits {verb} them: {', '.join(exceeding.values())}"
+    return f"All {count} points with limits keep them" if count > 1 else "The point keeps its limits"
 
 
 def _margins_of_summary(point: Mapping[str, Any], kind: str) -> dict[str, float]:
@@ -258,6 +267,20 @@ def _band_variables(points: Sequence[PointHistory], *, has_sensors: bool) -> dic
     return data
 
 
+def _coordinates(
+    flown: Conditions, points: Sequence[PointHistory], sensors: Mapping[str, Sequence[Sensor]]
+) -> dict[str, Any]:
+    """Coordinates of a data set: times, control points, sensors and the control point of each."""
+    names = [s.name for p in points for s in sensors[p.name]]
+    owners = [p.name for p in points for _ in sensors[p.name]]
+    return {
+        "time": ("time", flown.time_s, TIME_ATTRIBUTES),
+        "control_point": ("control_point", [p.name for p in points], {"long_name": "name of the control point"}),
+        "sensor": ("sensor", names, {"long_name": "name of the sensor"}),
+        "sensor_control_point": ("sensor", owners, {"long_name": "control point of the sensor"}),
+    }
+
+
 def histories_dataset(
     flown: Conditions,
     points: Sequence[PointHistory],
@@ -275,7 +298,8 @@ def histories_dataset(
     """
     import xarray as xr  # slow to import, and wanted only where results are written
 
-    names = [s.name for p in points for s in sensors[p.name]]
+    coordinates = _coordinates(flown, points, sensors)
+    names = coordinates["sensor"][1]
     data = _point_variables(points, limits)
     sensors_K = np.concatenate([p.sensors_K for p in points]) if names else np.zeros((0, len(flown)))
     data["sensor_K"] = (("sensor", "time"), sensors_K, _attributes("sensor_K"))
@@ -284,16 +308,6 @@ def histories_dataset(
     columns = {_netcdf_name(name): name for name in flown.names if name not in ("time_s", *film)}
     data |= {key: ("time", flown[name], _attributes(name)) for key, name in columns.items()}
     data |= {name: (PER_POINT, values, _attributes(name)) for name, values in film.items()}
-    coordinates = {
-        "time": ("time", flown.time_s, TIME_ATTRIBUTES),
-        "control_point": ("control_point", [p.name for p in points], {"long_name": "name of the control point"}),
-        "sensor": ("sensor", names, {"long_name": "name of the sensor"}),
-        "sensor_control_point": (
-            "sensor",
-            [p.name for p in points for _ in sensors[p.name]],
-            {"long_name": "control point of the sensor"},
-        ),
-    }
     origin = {"Conventions": "CF-1.10", "source": f"sim-heating {package_version()}", **provenance_attributes()}
     return xr.Dataset(data, coordinates, {**attributes, **origin})
 

@@ -35,62 +35,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.kernels.block import (
-    BEND_C,
-    BEND_K,
-    BEND_P,
-    BETWEEN_FACES,
-    BOIL,
-    C_LEFT,
-    C_RIGHT,
-    COLUMN,
-    CONDENSE,
-    DELTA,
-    DEPOSIT,
-    DIAGONAL,
-    E_LEFT,
-    E_RIGHT,
-    E_STAR,
-    ENTRY,
-    FOOT,
-    FOOT_LEFT,
-    FRACTION,
-    HEAD_ROWS,
-    HIGH,
-    IN_DEPTH,
-    INTS_PER_NODE,
-    INVALID_HIGH_K,
-    IS_FACE,
-    IS_INTERFACE,
-    K_RAD,
-    LANES,
-    LATENT,
-    LOW,
-    LOWER,
-    M_LEFT,
-    M_RIGHT,
-    MATERIAL_TABLE,
-    N_NODES,
-    N_PRESSURES,
-    NODE_INTS,
-    NODE_ROWS,
-    PCOL,
-    PFRAC,
-    PHASE_RATE,
-    PRESSURE_TABLE,
-    RADIATES_FROM,
-    RESIDUAL,
-    SCALAR_ROWS,
-    SLOPE,
-    SOURCE,
-    THETA_RIGHT,
-    UPPER,
-    VAPOUR,
-    WET_LEFT,
-    WET_RIGHT,
-    G,
-    T,
-)
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.elementary import lanes_outside, logistic
 from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 
@@ -155,11 +101,15 @@ def _gather_polynomials(
 
     returns : offset of the piece in the table
     """
-    slope_k, decade, slope_c = B[BEND_K * LANES + lane], B[BEND_P * LANES + lane], B[BEND_C * LANES + lane]
+    slope_k, decade, slope_c = (
+        B[block.BEND_K * LANES + lane],
+        B[block.BEND_P * LANES + lane],
+        B[block.BEND_C * LANES + lane],
+    )
     if table[offset - 1] != NO_BENT_TABLE and (slope_k != 0.0 or decade != 0.0 or slope_c != 0.0):
         return _gather_bent(B, J, table, a, lane, offset + int(table[offset - 1]), into)
-    row = piece_of(table, offset, PIECE_HEAD + 3 + 3 * J[N_PRESSURES + lane], B[a + T * LANES + lane])
-    column = row + PIECE_HEAD + 3 + 3 * int(B[COLUMN * LANES + lane])
+    row = piece_of(table, offset, PIECE_HEAD + 3 + 3 * J[block.N_PRESSURES + lane], B[a + block.T * LANES + lane])
+    column = row + PIECE_HEAD + 3 + 3 * int(B[block.COLUMN * LANES + lane])
     B[a + into * LANES + lane] = table[row + 2]
     for k in range(3):
         # The third number of each property is a slope; equation 9 takes half of it.
@@ -183,12 +133,16 @@ def _gather_bent(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: in
 
     c = (1 + s_c (T - 700 K)) c_declared,    k = (1 + s_k (T - 700 K)) (1 + d (log10 p - 3)) k_declared
     """
-    weighted = 3 + 3 * J[N_PRESSURES + lane]
-    row = piece_of(table, offset, PIECE_HEAD + 2 * weighted, B[a + T * LANES + lane])
-    slope_k, decade, slope_c = B[BEND_K * LANES + lane], B[BEND_P * LANES + lane], B[BEND_C * LANES + lane]
-    at = int(B[COLUMN * LANES + lane])
+    weighted = 3 + 3 * J[block.N_PRESSURES + lane]
+    row = piece_of(table, offset, PIECE_HEAD + 2 * weighted, B[a + block.T * LANES + lane])
+    slope_k, decade, slope_c = (
+        B[block.BEND_K * LANES + lane],
+        B[block.BEND_P * LANES + lane],
+        B[block.BEND_C * LANES + lane],
+    )
+    at = int(B[block.COLUMN * LANES + lane])
     first, column = row + PIECE_HEAD, row + PIECE_HEAD + 3 + 3 * at
-    pressures = J[PRESSURE_TABLE + lane] + at
+    pressures = J[block.PRESSURE_TABLE + lane] + at
     below, above = _pressure_factor(decade, table[pressures]), _pressure_factor(decade, table[pressures + 1])
     B[a + into * LANES + lane] = table[row + 2]
     for k in range(3):
@@ -205,22 +159,22 @@ def _gather_bent(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: in
 @inline_always
 def _refresh_polynomials(B: FloatArray, J: IntArray, table: FloatArray, i: int) -> None:
     """Gather the polynomials of node i again in the lanes whose temperature has left the piece they are valid in."""
-    a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-    if lanes_outside(B, a + T * LANES, a + LOW * LANES, a + HIGH * LANES) == 0:
+    a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
+    if lanes_outside(B, a + block.T * LANES, a + block.LOW * LANES, a + block.HIGH * LANES) == 0:
         return
-    node = NODE_INTS + i * INTS_PER_NODE
+    node = block.NODE_INTS + i * block.INTS_PER_NODE
     for lane in range(LANES):
-        t = B[a + T * LANES + lane]
-        if not (t >= B[a + LOW * LANES + lane] and t < B[a + HIGH * LANES + lane]):
-            row = _gather_polynomials(B, J, table, a, lane, J[node + MATERIAL_TABLE + lane], FOOT)
+        t = B[a + block.T * LANES + lane]
+        if not (t >= B[a + block.LOW * LANES + lane] and t < B[a + block.HIGH * LANES + lane]):
+            row = _gather_polynomials(B, J, table, a, lane, J[node + block.MATERIAL_TABLE + lane], block.FOOT)
             low, high = table[row], table[row + 1]
-            if J[node + IS_INTERFACE] == 1:
+            if J[node + block.IS_INTERFACE] == 1:
                 row = _gather_polynomials(
-                    B, J, table, a, lane, J[node - INTS_PER_NODE + MATERIAL_TABLE + lane], FOOT_LEFT
+                    B, J, table, a, lane, J[node - block.INTS_PER_NODE + block.MATERIAL_TABLE + lane], block.FOOT_LEFT
                 )
                 low, high = max(low, table[row]), min(high, table[row + 1])
-            B[a + LOW * LANES + lane] = low
-            B[a + HIGH * LANES + lane] = high
+            B[a + block.LOW * LANES + lane] = low
+            B[a + block.HIGH * LANES + lane] = high
 
 
 @force_inline
@@ -240,7 +194,7 @@ def heat_content(B: FloatArray, at: int, left_row: int, right_row: int) -> float
     Source: docs/theory/equations_thermal_step.md, equation 4.
     """
     content_left, content_right = B[at + left_row * LANES], B[at + right_row * LANES]
-    next_left, last_right = at + (NODE_ROWS + left_row) * LANES, at + (right_row - NODE_ROWS) * LANES
+    next_left, last_right = at + (block.NODE_ROWS + left_row) * LANES, at + (right_row - block.NODE_ROWS) * LANES
     return content_left + content_right + SHARE * (B[next_left] - content_right - content_left + B[last_right])
 
 
@@ -259,7 +213,7 @@ def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> Proper
 
     f : fraction [-] between two pressure columns (docs/theory/equations_thermal_step.md, equations 9 and 10)
     """
-    t = B[a + T * LANES + lane] - B[a + foot * LANES + lane]
+    t = B[a + block.T * LANES + lane] - B[a + foot * LANES + lane]
     x = a + (foot + 1) * LANES + lane
     h, c = _integral(B[x], B[x + LANES], B[x + 2 * LANES], t)
     theta0 = B[x + 3 * LANES] + f * B[x + 6 * LANES]
@@ -289,26 +243,26 @@ def _write_row(B: FloatArray, a: int, lane: int, ddt: float, before: Properties,
     What crosses an element, heat conducted in d dt and heat content shared, is one term
     (docs/theory/equations_thermal_step.md, equations 26 to 28).
     """
-    previous = a - NODE_ROWS * LANES
+    previous = a - block.NODE_ROWS * LANES
     h_left, c_left, theta_left, k_left = before
     h, c, theta, k = behind
-    m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
+    m_left, m_right = B[a + block.M_LEFT * LANES + lane], B[a + block.M_RIGHT * LANES + lane]
     e_left, cap_left, e_right, cap_right = m_left * h_left, m_left * c_left, m_right * h, m_right * c
-    g_left = ddt * B[previous + G * LANES + lane]
-    across = g_left * (B[previous + THETA_RIGHT * LANES + lane] - theta_left)
-    across += SHARE * (e_left - B[previous + E_RIGHT * LANES + lane])
+    g_left = ddt * B[previous + block.G * LANES + lane]
+    across = g_left * (B[previous + block.THETA_RIGHT * LANES + lane] - theta_left)
+    across += SHARE * (e_left - B[previous + block.E_RIGHT * LANES + lane])
     entry = SHARE * cap_left - g_left * k_left
-    lower = SHARE * cap_right - ddt * B[a + G * LANES + lane] * k
-    B[a + E_LEFT * LANES + lane] = e_left
-    B[a + C_LEFT * LANES + lane] = cap_left
-    B[a + E_RIGHT * LANES + lane] = e_right
-    B[a + C_RIGHT * LANES + lane] = cap_right
-    B[a + THETA_RIGHT * LANES + lane] = theta
-    B[previous + RESIDUAL * LANES + lane] += across
-    B[previous + ENTRY * LANES + lane] = entry
-    B[a + LOWER * LANES + lane] = lower
-    B[a + DIAGONAL * LANES + lane] = cap_left + cap_right - entry - lower
-    B[a + RESIDUAL * LANES + lane] = e_left + e_right - B[a + E_STAR * LANES + lane] - across
+    lower = SHARE * cap_right - ddt * B[a + block.G * LANES + lane] * k
+    B[a + block.E_LEFT * LANES + lane] = e_left
+    B[a + block.C_LEFT * LANES + lane] = cap_left
+    B[a + block.E_RIGHT * LANES + lane] = e_right
+    B[a + block.C_RIGHT * LANES + lane] = cap_right
+    B[a + block.THETA_RIGHT * LANES + lane] = theta
+    B[previous + block.RESIDUAL * LANES + lane] += across
+    B[previous + block.ENTRY * LANES + lane] = entry
+    B[a + block.LOWER * LANES + lane] = lower
+    B[a + block.DIAGONAL * LANES + lane] = cap_left + cap_right - entry - lower
+    B[a + block.RESIDUAL * LANES + lane] = e_left + e_right - B[a + block.E_STAR * LANES + lane] - across
 
 
 @force_inline
@@ -318,78 +272,80 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     Separate from the row itself, as most walls have none of them; dry lanes of the group go through the same arithmetic
     (docs/theory/equations_thermal_step.md, equations 11 to 13 and 11a).
     """
-    previous = a - NODE_ROWS * LANES
-    t, rate = B[a + T * LANES + lane], B[a + PHASE_RATE * LANES + lane]
-    up = logistic((t - B[a + BOIL * LANES + lane]) * rate)
-    down = logistic((t - B[a + CONDENSE * LANES + lane]) * rate)
+    previous = a - block.NODE_ROWS * LANES
+    t, rate = B[a + block.T * LANES + lane], B[a + block.PHASE_RATE * LANES + lane]
+    up = logistic((t - B[a + block.BOIL * LANES + lane]) * rate)
+    down = logistic((t - B[a + block.CONDENSE * LANES + lane]) * rate)
     rising, falling = up * (1.0 - up) * rate, down * (1.0 - down) * rate
-    L, D = B[a + LATENT * LANES + lane], B[a + DEPOSIT * LANES + lane]
+    L, D = B[a + block.LATENT * LANES + lane], B[a + block.DEPOSIT * LANES + lane]
     h, c = L * up - D * down, L * rising - D * falling
-    theta_rad, k_rad = _radiation_in_depth(t, B[a + RADIATES_FROM * LANES + lane])
-    k_1_left, k_1_right = B[previous + K_RAD * LANES + lane], B[a + K_RAD * LANES + lane]
-    vapour_left, vapour_right = B[previous + VAPOUR * LANES + lane], B[a + VAPOUR * LANES + lane]
-    wet_left, wet_right = B[a + WET_LEFT * LANES + lane], B[a + WET_RIGHT * LANES + lane]
-    g_left = ddt * B[previous + G * LANES + lane]
-    t_left, cube = B[previous + T * LANES + lane], t * t * t
+    theta_rad, k_rad = _radiation_in_depth(t, B[a + block.RADIATES_FROM * LANES + lane])
+    k_1_left, k_1_right = B[previous + block.K_RAD * LANES + lane], B[a + block.K_RAD * LANES + lane]
+    vapour_left, vapour_right = B[previous + block.VAPOUR * LANES + lane], B[a + block.VAPOUR * LANES + lane]
+    wet_left, wet_right = B[a + block.WET_LEFT * LANES + lane], B[a + block.WET_RIGHT * LANES + lane]
+    g_left = ddt * B[previous + block.G * LANES + lane]
+    t_left, cube = B[previous + block.T * LANES + lane], t * t * t
     faces_left, faces_right = (
-        ddt * B[previous + BETWEEN_FACES * LANES + lane],
-        ddt * B[a + BETWEEN_FACES * LANES + lane],
+        ddt * B[previous + block.BETWEEN_FACES * LANES + lane],
+        ddt * B[a + block.BETWEEN_FACES * LANES + lane],
     )
     across = SHARE * wet_left * h - g_left * (k_1_left * theta_rad + vapour_left * up)
     across += faces_left * (t_left * t_left * t_left * t_left - cube * t)
     entry = SHARE * wet_left * c - g_left * (k_1_left * k_rad + vapour_left * rising) - 4.0 * faces_left * cube
     k_right = k_1_right * k_rad + vapour_right * rising
-    lower = SHARE * wet_right * c - ddt * B[a + G * LANES + lane] * k_right - 4.0 * faces_right * cube
-    B[a + E_LEFT * LANES + lane] += wet_left * h
-    B[a + C_LEFT * LANES + lane] += wet_left * c
-    B[a + E_RIGHT * LANES + lane] += wet_right * h
-    B[a + C_RIGHT * LANES + lane] += wet_right * c
-    B[a + THETA_RIGHT * LANES + lane] += k_1_right * theta_rad + vapour_right * up
-    B[previous + RESIDUAL * LANES + lane] += across
-    B[previous + ENTRY * LANES + lane] += entry
-    B[a + LOWER * LANES + lane] += lower
-    B[a + DIAGONAL * LANES + lane] += (wet_left + wet_right) * c - entry - lower
-    B[a + RESIDUAL * LANES + lane] += (wet_left + wet_right) * h - across
+    lower = SHARE * wet_right * c - ddt * B[a + block.G * LANES + lane] * k_right - 4.0 * faces_right * cube
+    B[a + block.E_LEFT * LANES + lane] += wet_left * h
+    B[a + block.C_LEFT * LANES + lane] += wet_left * c
+    B[a + block.E_RIGHT * LANES + lane] += wet_right * h
+    B[a + block.C_RIGHT * LANES + lane] += wet_right * c
+    B[a + block.THETA_RIGHT * LANES + lane] += k_1_right * theta_rad + vapour_right * up
+    B[previous + block.RESIDUAL * LANES + lane] += across
+    B[previous + block.ENTRY * LANES + lane] += entry
+    B[a + block.LOWER * LANES + lane] += lower
+    B[a + block.DIAGONAL * LANES + lane] += (wet_left + wet_right) * c - entry - lower
+    B[a + block.RESIDUAL * LANES + lane] += (wet_left + wet_right) * h - across
 
 
 @inline_always
 def _assemble_row(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
     """Row of node i at its present temperature, heat from outside included."""
-    a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-    previous = a - NODE_ROWS * LANES
+    a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
+    previous = a - block.NODE_ROWS * LANES
     _refresh_polynomials(B, J, table, i)
-    if J[NODE_INTS + i * INTS_PER_NODE + IS_INTERFACE] == 1:
+    if J[block.NODE_INTS + i * block.INTS_PER_NODE + block.IS_INTERFACE] == 1:
         for lane in range(LANES):
-            f = B[previous + FRACTION * LANES + lane]
-            B[a + FRACTION * LANES + lane] = f
-            _write_row(B, a, lane, ddt, _properties(B, a, lane, FOOT_LEFT, f), _properties(B, a, lane, FOOT, f))
+            f = B[previous + block.FRACTION * LANES + lane]
+            B[a + block.FRACTION * LANES + lane] = f
+            _write_row(
+                B, a, lane, ddt, _properties(B, a, lane, block.FOOT_LEFT, f), _properties(B, a, lane, block.FOOT, f)
+            )
     else:
         for lane in range(LANES):
-            f = B[previous + FRACTION * LANES + lane]
-            B[a + FRACTION * LANES + lane] = f
-            properties = _properties(B, a, lane, FOOT, f)
+            f = B[previous + block.FRACTION * LANES + lane]
+            B[a + block.FRACTION * LANES + lane] = f
+            properties = _properties(B, a, lane, block.FOOT, f)
             _write_row(B, a, lane, ddt, properties, properties)
-    if J[IN_DEPTH] == 1:
+    if J[block.IN_DEPTH] == 1:
         for lane in range(LANES):
             _add_in_depth(B, a, lane, ddt)
-    if J[NODE_INTS + i * INTS_PER_NODE + IS_FACE] == 1:
+    if J[block.NODE_INTS + i * block.INTS_PER_NODE + block.IS_FACE] == 1:
         for lane in range(LANES):
-            B[a + RESIDUAL * LANES + lane] -= ddt * B[a + SOURCE * LANES + lane]
-            B[a + DIAGONAL * LANES + lane] -= ddt * B[a + SLOPE * LANES + lane]
+            B[a + block.RESIDUAL * LANES + lane] -= ddt * B[a + block.SOURCE * LANES + lane]
+            B[a + block.DIAGONAL * LANES + lane] -= ddt * B[a + block.SLOPE * LANES + lane]
 
 
 @inline_always
 def _eliminate_row(B: FloatArray, i: int) -> None:
     """Eliminate row i, whose right neighbour is assembled (docs/theory/equations_thermal_step.md, equation 29)."""
-    a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-    previous = a - NODE_ROWS * LANES
+    a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
+    previous = a - block.NODE_ROWS * LANES
     for lane in range(LANES):
         # No pivoting: the diagonal dominates its column by the heat capacity of the node and the slope of its source.
-        lower = B[previous + LOWER * LANES + lane]
-        pivot = 1.0 / (B[a + DIAGONAL * LANES + lane] - lower * B[previous + UPPER * LANES + lane])
-        residual = B[a + RESIDUAL * LANES + lane] + lower * B[previous + DELTA * LANES + lane]
-        B[a + UPPER * LANES + lane] = B[a + ENTRY * LANES + lane] * pivot
-        B[a + DELTA * LANES + lane] = -residual * pivot
+        lower = B[previous + block.LOWER * LANES + lane]
+        pivot = 1.0 / (B[a + block.DIAGONAL * LANES + lane] - lower * B[previous + block.UPPER * LANES + lane])
+        residual = B[a + block.RESIDUAL * LANES + lane] + lower * B[previous + block.DELTA * LANES + lane]
+        B[a + block.UPPER * LANES + lane] = B[a + block.ENTRY * LANES + lane] * pivot
+        B[a + block.DELTA * LANES + lane] = -residual * pivot
 
 
 @njit
@@ -407,20 +363,20 @@ def assemble(B: FloatArray, J: IntArray, table: FloatArray, ddt: float, reduces:
     Writes E_LEFT to C_RIGHT, and DIAGONAL, ENTRY, LOWER, RESIDUAL, or the reduced rows UPPER and DELTA.
     Source: docs/theory/equations_thermal_step.md, equations 25 to 29.
     """
-    n = J[N_NODES]
-    before, last = SCALAR_ROWS * LANES, (HEAD_ROWS + (n - 1) * NODE_ROWS) * LANES
+    n = J[block.N_NODES]
+    before, last = block.SCALAR_ROWS * LANES, (block.HEAD_ROWS + (n - 1) * block.NODE_ROWS) * LANES
     for lane in range(LANES):  # the ghost before takes 0 times the first node's theta, which an infinite one would mark
-        B[before + RESIDUAL * LANES + lane] = 0.0
-        B[before + THETA_RIGHT * LANES + lane] = 0.0
+        B[before + block.RESIDUAL * LANES + lane] = 0.0
+        B[before + block.THETA_RIGHT * LANES + lane] = 0.0
     for i in range(n):
         _assemble_row(B, J, table, i, ddt)
         if reduces and i > 0:
             _eliminate_row(B, i - 1)
     # What crosses to the ghost behind: content that padding shares with it, nothing where there is none.
     for lane in range(LANES):
-        B[last + RESIDUAL * LANES + lane] -= SHARE * B[last + E_RIGHT * LANES + lane]
+        B[last + block.RESIDUAL * LANES + lane] -= SHARE * B[last + block.E_RIGHT * LANES + lane]
         # The row still holds theta: the last node has no right neighbour that would have replaced it.
-        B[last + ENTRY * LANES + lane] = 0.0
+        B[last + block.ENTRY * LANES + lane] = 0.0
     if reduces:
         _eliminate_row(B, n - 1)
 
@@ -436,11 +392,11 @@ def select_pressure(B: FloatArray, J: IntArray, stage: int) -> None:
     """
     changed = 0
     for lane in range(LANES):
-        B[(SCALAR_ROWS + FRACTION) * LANES + lane] = B[(PFRAC + stage) * LANES + lane]
-        if B[COLUMN * LANES + lane] != B[(PCOL + stage) * LANES + lane]:
+        B[(block.SCALAR_ROWS + block.FRACTION) * LANES + lane] = B[(block.PFRAC + stage) * LANES + lane]
+        if B[block.COLUMN * LANES + lane] != B[(block.PCOL + stage) * LANES + lane]:
             changed += 1
-            B[COLUMN * LANES + lane] = B[(PCOL + stage) * LANES + lane]
+            B[block.COLUMN * LANES + lane] = B[(block.PCOL + stage) * LANES + lane]
     if changed > 0:
-        for i in range(J[N_NODES]):
+        for i in range(J[block.N_NODES]):
             for lane in range(LANES):
-                B[(HEAD_ROWS + i * NODE_ROWS + HIGH) * LANES + lane] = INVALID_HIGH_K
+                B[(block.HEAD_ROWS + i * block.NODE_ROWS + block.HIGH) * LANES + lane] = block.INVALID_HIGH_K

@@ -5,45 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.kernels.block import (
-    BACK_EPS,
-    BACK_H,
-    BACK_T,
-    BEND_C,
-    BEND_K,
-    BEND_P,
-    BOIL,
-    CONDENSE,
-    CURVE,
-    DEPOSIT,
-    FACTOR_EPS,
-    GAP,
-    GAPS,
-    HEAD_ROWS,
-    HIGH,
-    IN_DEPTH,
-    INTS_PER_NODE,
-    INVALID_HIGH_K,
-    IS_FACE,
-    K_RAD,
-    LANES,
-    LATENT,
-    M_LEFT,
-    M_RIGHT,
-    N_PARAMETERS,
-    NODE_INTS,
-    NODE_ROWS,
-    PARAMETERS,
-    PHASE_RATE,
-    RADIATES_FROM,
-    RATE,
-    SURFACE_SHARE,
-    VAPOUR,
-    WET_LEFT,
-    WET_RIGHT,
-    G,
-    T,
-)
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.elementary import exp
 from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.base.parameters import LAYER_SLOTS
@@ -114,14 +77,14 @@ def set_elements(B: FloatArray, J: IntArray, lane: int, elements: Elements, p: F
         half = 0.5 * elements.density_kg_m3[e] * length * capacity
         # Moisture is declared per mass of insulation, and so takes the heat-capacity factor with it.
         wet = half if layer[e] == insulation else 0.0
-        here = (HEAD_ROWS + e * NODE_ROWS) * LANES + lane
-        right = here + NODE_ROWS * LANES
-        B[here + G * LANES] = conductivity / length
-        B[here + K_RAD * LANES] = radiative
-        B[here + M_RIGHT * LANES] = half
-        B[right + M_LEFT * LANES] = half
-        B[here + WET_RIGHT * LANES] = wet
-        B[right + WET_LEFT * LANES] = wet
+        here = (block.HEAD_ROWS + e * block.NODE_ROWS) * LANES + lane
+        right = here + block.NODE_ROWS * LANES
+        B[here + block.G * LANES] = conductivity / length
+        B[here + block.K_RAD * LANES] = radiative
+        B[here + block.M_RIGHT * LANES] = half
+        B[right + block.M_LEFT * LANES] = half
+        B[here + block.WET_RIGHT * LANES] = wet
+        B[right + block.WET_LEFT * LANES] = wet
     _set_bends(B, lane, len(layer) + 1, p)
     _set_in_depth(B, J, lane, layer, insulation, p)
     _set_faces(B, lane, p)
@@ -132,11 +95,11 @@ def set_elements(B: FloatArray, J: IntArray, lane: int, elements: Elements, p: F
 def _set_bends(B: FloatArray, lane: int, nodes: int, p: FloatArray) -> None:
     """Write the change of the insulation's tables of a lane; where it is new, polynomials are gathered again."""
     slope, decade, capacity = p[CONDUCTIVITY_SLOPE], p[CONDUCTIVITY_DECADE], p[CAPACITY_SLOPE]
-    at_k, at_p, at_c = BEND_K * LANES + lane, BEND_P * LANES + lane, BEND_C * LANES + lane
+    at_k, at_p, at_c = block.BEND_K * LANES + lane, block.BEND_P * LANES + lane, block.BEND_C * LANES + lane
     if B[at_k] != slope or B[at_p] != decade or B[at_c] != capacity:
         B[at_k], B[at_p], B[at_c] = slope, decade, capacity
         for i in range(nodes):
-            B[(HEAD_ROWS + i * NODE_ROWS + HIGH) * LANES + lane] = INVALID_HIGH_K
+            B[(block.HEAD_ROWS + i * block.NODE_ROWS + block.HIGH) * LANES + lane] = block.INVALID_HIGH_K
 
 
 @inline_always
@@ -145,28 +108,28 @@ def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insula
     insulated = 0
     while insulated < len(layer) - 1 and layer[insulated] != insulation:
         insulated += 1
-    first, moist = HEAD_ROWS * LANES + lane, (HEAD_ROWS + insulated * NODE_ROWS) * LANES + lane
-    rows = (RADIATES_FROM, LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_RATE)
+    first, moist = block.HEAD_ROWS * LANES + lane, (block.HEAD_ROWS + insulated * block.NODE_ROWS) * LANES + lane
+    rows = (block.RADIATES_FROM, block.LATENT, block.BOIL, block.DEPOSIT, block.CONDENSE, block.PHASE_RATE)
     values = (p[RADIATION_FROM], p[LATENT_HEAT], p[BOILS], p[DEPOSITED], p[CONDENSES], 1.0 / p[WIDTH])
-    is_there = B[moist + VAPOUR * LANES] == p[CARRIED]
+    is_there = B[moist + block.VAPOUR * LANES] == p[CARRIED]
     for k in range(len(rows)):
         is_there = is_there and B[first + rows[k] * LANES] == values[k]
     for i in range(0 if is_there else len(layer) + 1):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES + lane
         for k in range(len(rows)):
             B[a + rows[k] * LANES] = values[k]
-        B[a + VAPOUR * LANES] = p[CARRIED] if i < len(layer) and layer[i] == insulation else 0.0
+        B[a + block.VAPOUR * LANES] = p[CARRIED] if i < len(layer) and layer[i] == insulation else 0.0
     # One flag for the group, only ever set here: a dry lane next to a moist one computes zeros. A perturbed lane may be
     # below 0 and in a group of its own.
     if p[LATENT_HEAT] != 0.0 or p[DEPOSITED] != 0.0 or p[CARRIED] != 0.0 or p[RADIATIVE] != 0.0:
-        J[IN_DEPTH] = 1
+        J[block.IN_DEPTH] = 1
 
 
 @inline_always
 def _set_faces(B: FloatArray, lane: int, p: FloatArray) -> None:
-    B[FACTOR_EPS * LANES + lane] = p[EMISSIVITY]
-    B[BACK_H * LANES + lane], B[BACK_T * LANES + lane] = p[H_BEHIND], p[T_BEHIND]
-    B[BACK_EPS * LANES + lane] = p[EPS_BEHIND]
+    B[block.FACTOR_EPS * LANES + lane] = p[EMISSIVITY]
+    B[block.BACK_H * LANES + lane], B[block.BACK_T * LANES + lane] = p[H_BEHIND], p[T_BEHIND]
+    B[block.BACK_EPS * LANES + lane] = p[EPS_BEHIND]
 
 
 @inline_always
@@ -181,9 +144,9 @@ def _set_gap(
     n = len(layer) + 1
     fraction, depth = p[GAP_FRACTION], p[GAP_DEPTH]
     # without a gap now and before, all fractions are 0
-    if fraction == 0.0 and B[SURFACE_SHARE * LANES + lane] == 1.0:
+    if fraction == 0.0 and B[block.SURFACE_SHARE * LANES + lane] == 1.0:
         return
-    B[SURFACE_SHARE * LANES + lane] = 1.0 - fraction
+    B[block.SURFACE_SHARE * LANES + lane] = 1.0 - fraction
     bottom = 0.0
     # A stack of one layer has its bondline at node 0: its gaps reach the back face.
     for e in range(bondline if bondline > 0 else n - 1):
@@ -194,11 +157,12 @@ def _set_gap(
         length = length_m[i] if i < n - 1 and layer[i] >= 0 else 0.0
         edge = x + 0.5 * length
         below = exp(-min(edge, bottom) / depth)
-        B[(HEAD_ROWS + i * NODE_ROWS + GAP) * LANES + lane] = fraction * ((above - below) / full_decay)
+        gap = (block.HEAD_ROWS + i * block.NODE_ROWS + block.GAP) * LANES + lane
+        B[gap] = fraction * ((above - below) / full_decay)
         x, above = x + length, below
         if fraction != 0.0:
-            J[GAPS] = 1
-            J[NODE_INTS + i * INTS_PER_NODE + IS_FACE] = 1
+            J[block.GAPS] = 1
+            J[block.NODE_INTS + i * block.INTS_PER_NODE + block.IS_FACE] = 1
 
 
 @njit
@@ -217,8 +181,8 @@ def set_point(
     """
     for lane in range(first, last):
         set_elements(B, J, lane, elements, stack)
-        p = PARAMETERS * LANES + lane * N_PARAMETERS
-        for k in range(N_PARAMETERS):
+        p = block.PARAMETERS * LANES + lane * block.N_PARAMETERS
+        for k in range(block.N_PARAMETERS):
             B[p + k] = heating[k]
         write_order(B, p)
 
@@ -253,10 +217,10 @@ def set_temperatures(B: FloatArray, first: int, last: int, nodes: int, temperatu
     start.
     """
     for i in range(nodes):
-        at = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        at = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
         for lane in range(first, last):
-            B[at + T * LANES + lane] = temperature_K[min(i, len(temperature_K) - 1)]
-            B[at + RATE * LANES + lane] = 0.0
-            B[at + CURVE * LANES + lane] = 0.0
+            B[at + block.T * LANES + lane] = temperature_K[min(i, len(temperature_K) - 1)]
+            B[at + block.RATE * LANES + lane] = 0.0
+            B[at + block.CURVE * LANES + lane] = 0.0
             # The polynomials about the old temperature may not hold for the new one.
-            B[at + HIGH * LANES + lane] = INVALID_HIGH_K
+            B[at + block.HIGH * LANES + lane] = block.INVALID_HIGH_K

@@ -11,55 +11,8 @@ At the surface, at the back, and at every node along a gap that hot gas flows in
 from __future__ import annotations
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.kernels.block import (
-    ACTIVE,
-    ADDED,
-    AIR,
-    AIR_FOOT,
-    AIR_K,
-    AIR_PLACE,
-    BACK_EPS,
-    BACK_H,
-    BACK_NODE,
-    C_STAGES,
-    CONVECTS,
-    EMISSIVITY_TABLE,
-    ENTHALPY_TABLE,
-    EPS_AT_FOOT,
-    EPS_FOOT,
-    EPS_SLOPE,
-    FACTOR_EPS,
-    FILM,
-    FIRST_AT_WALL,
-    GAP,
-    GAPS,
-    H_REF,
-    HEAD_ROWS,
-    LAG_SLOT,
-    LANES,
-    N_CONDITIONS,
-    N_EFFECTS,
-    N_EMITTING,
-    N_NODES,
-    NATURAL_EXPONENT,
-    NODE_ROWS,
-    NONE,
-    R_BASE,
-    RECOVERY,
-    SLOPE,
-    SOURCE,
-    STAGE_BACK_T,
-    STAGE_NATURAL,
-    STAGE_SURROUNDINGS4,
-    STEP_FACTOR,
-    STILL_AIR,
-    SURFACE_SHARE,
-    WALL_COLUMN,
-    WALL_HIGH,
-    WALL_LOW,
-    WALL_SLOPE,
-    T,
-)
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.elementary import LN_10, exp, lanes_outside, log10
 from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 from sim_heating.heating.film import emittance_factor, ratio_with_effects
@@ -87,19 +40,20 @@ def _film_and_slope(
 
     keeps_slope : whether the slope of the ratio is that of the lane's last iterate
     """
-    h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
-    h_ref *= B[(STEP_FACTOR + stage) * LANES + lane]
-    r = B[(R_BASE + stage) * LANES + lane]
-    first, end = J[FIRST_AT_WALL + lane], J[N_EFFECTS + lane]
-    at_wall, slope = 0.0, B[WALL_SLOPE * LANES + lane]
+    h_ref = B[block.C_STAGES * LANES + (stage * LANES + lane) * block.N_CONDITIONS + block.H_REF]
+    h_ref *= B[(block.STEP_FACTOR + stage) * LANES + lane]
+    r = B[(block.R_BASE + stage) * LANES + lane]
+    first, end = J[block.FIRST_AT_WALL + lane], J[block.N_EFFECTS + lane]
+    at_wall, slope = 0.0, B[block.WALL_SLOPE * LANES + lane]
     if not keeps_slope:
         above = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K, first, end)
         below = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall - WALL_DIFFERENCE_K, first, end)
         at_wall, slope = 0.5 * (above + below), (above - below) * (0.5 / WALL_DIFFERENCE_K)
-    if keeps_slope or J[LAG_SLOT + lane] != NONE:  # the state of a lag has to be left at the wall's own temperature
+    # The state of a lag has to be left at the wall's own temperature.
+    if keeps_slope or J[block.LAG_SLOT + lane] != block.NONE:
         at_wall = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, end)
-    if B[ACTIVE * LANES + lane] > 0.0:  # a lane that has converged keeps its own, however long others iterate
-        B[(FILM + stage) * LANES + lane], B[WALL_SLOPE * LANES + lane] = h_ref * at_wall, slope
+    if B[block.ACTIVE * LANES + lane] > 0.0:  # a lane that has converged keeps its own, however long others iterate
+        B[(block.FILM + stage) * LANES + lane], B[block.WALL_SLOPE * LANES + lane] = h_ref * at_wall, slope
     return h_ref * at_wall, h_ref * slope
 
 
@@ -134,8 +88,8 @@ def _wall_enthalpy(
     B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int, T_K: float
 ) -> tuple[float, float]:
     """Enthalpy of air [J/kg] at a temperature and the pressure of a stage, and its specific heat [J/(kg K)]."""
-    j, column = property_bin(T_K), B[(AIR_PLACE + stage) * LANES + lane]
-    row = _air_row(table, J[ENTHALPY_TABLE + lane], j, int(column))
+    j, column = property_bin(T_K), B[(block.AIR_PLACE + stage) * LANES + lane]
+    row = _air_row(table, J[block.ENTHALPY_TABLE + lane], j, int(column))
     f = column - int(column)
     return _air_enthalpy(table[row], table[row + 1], table[row + 2], table[row + 3], f, T_K - BIN_K * j)
 
@@ -180,7 +134,7 @@ def invalidate_walls(B: FloatArray) -> None:
     """Invalidate the pieces of emittance [-] and air enthalpy [J/kg] cached for every lane, so that they are looked up
     again."""
     for lane in range(LANES):
-        B[WALL_HIGH * LANES + lane] = -FAR
+        B[block.WALL_HIGH * LANES + lane] = -FAR
 
 
 @njit
@@ -199,7 +153,7 @@ def evaluate_faces(
     """
     evaluate_surface(B, J, table, dispatcher, stage, keeps_slope)
     evaluate_back(B, J, stage)
-    if J[GAPS] == 1:
+    if J[block.GAPS] == 1:
         _evaluate_gaps(B, J, table, stage)
 
 
@@ -214,53 +168,54 @@ def evaluate_perturbed_faces(B: FloatArray, J: IntArray, table: FloatArray, disp
     _cache_walls(B, J, table, stage)
     emitting = 0
     for lane in range(LANES):
-        emitting += J[N_EMITTING + lane]
-        eps, film = _emittance(B, lane), B[(FILM + stage) * LANES + lane]
-        _write_surface_balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)
+        emitting += J[block.N_EMITTING + lane]
+        eps, film = _emittance(B, lane), B[(block.FILM + stage) * LANES + lane]
+        _write_surface_balance(B, lane, stage, eps, B[block.EPS_SLOPE * LANES + lane], film, 0.0)
     for lane in range(LANES if emitting > 0 else 0):
-        if J[N_EMITTING + lane] > 0:
-            wall, film = B[(HEAD_ROWS + T) * LANES + lane], B[(FILM + stage) * LANES + lane]
+        if J[block.N_EMITTING + lane] > 0:
+            wall, film = B[(block.HEAD_ROWS + block.T) * LANES + lane], B[(block.FILM + stage) * LANES + lane]
             eps = _emittance(B, lane) * emittance_factor(B, J, dispatcher, lane, stage, wall)
-            _write_surface_balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)
+            _write_surface_balance(B, lane, stage, eps, B[block.EPS_SLOPE * LANES + lane], film, 0.0)
     _add_still_air(B, stage)
     evaluate_back(B, J, stage)
-    if J[GAPS] == 1:
+    if J[block.GAPS] == 1:
         _evaluate_gaps(B, J, table, stage)
 
 
 @inline_always
 def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
     """Heat from hot gas at the nodes along a gap, each with its own wall enthalpy and the film of the surface."""
-    for i in range(J[N_NODES]):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+    for i in range(J[block.N_NODES]):
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
         for lane in range(LANES):
-            gap_fraction = B[a + GAP * LANES + lane]
+            gap_fraction = B[a + block.GAP * LANES + lane]
             source, slope = 0.0, 0.0
             if gap_fraction != 0.0:
-                H_w, cp_w = _wall_enthalpy(B, J, table, lane, stage, B[a + T * LANES + lane])
-                film = gap_fraction * B[(FILM + stage) * LANES + lane]
-                source, slope = film * (B[(RECOVERY + stage) * LANES + lane] - H_w), -film * cp_w
+                H_w, cp_w = _wall_enthalpy(B, J, table, lane, stage, B[a + block.T * LANES + lane])
+                film = gap_fraction * B[(block.FILM + stage) * LANES + lane]
+                source, slope = film * (B[(block.RECOVERY + stage) * LANES + lane] - H_w), -film * cp_w
             # The faces were evaluated in this call and keep their heat; other nodes still hold that of an earlier call.
-            face = i == 0 or i == J[BACK_NODE + lane]
-            B[a + SOURCE * LANES + lane] = source + (B[a + SOURCE * LANES + lane] if face else 0.0)
-            B[a + SLOPE * LANES + lane] = slope + (B[a + SLOPE * LANES + lane] if face else 0.0)
+            face = i == 0 or i == J[block.BACK_NODE + lane]
+            B[a + block.SOURCE * LANES + lane] = source + (B[a + block.SOURCE * LANES + lane] if face else 0.0)
+            B[a + block.SLOPE * LANES + lane] = slope + (B[a + block.SLOPE * LANES + lane] if face else 0.0)
 
 
 @inline_always
 def _cache_wall(B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int) -> None:
     """Cache the pieces of emittance and air enthalpy that contain the surface temperature of a lane, and their ends."""
-    column = int(B[(AIR_PLACE + stage) * LANES + lane])
-    wall = B[(HEAD_ROWS + T) * LANES + lane]
-    low, high, foot, eps, slope = emittance_piece(table, J[EMISSIVITY_TABLE + lane], wall)
+    column = int(B[(block.AIR_PLACE + stage) * LANES + lane])
+    wall = B[(block.HEAD_ROWS + block.T) * LANES + lane]
+    low, high, foot, eps, slope = emittance_piece(table, J[block.EMISSIVITY_TABLE + lane], wall)
     j = property_bin(wall)
-    row = _air_row(table, J[ENTHALPY_TABLE + lane], j, column)
-    B[WALL_LOW * LANES + lane] = low if j == 0 else max(low, BIN_K * j)
-    B[WALL_HIGH * LANES + lane] = high if j == BINS - 1 else min(high, BIN_K * (j + 1))
-    B[WALL_COLUMN * LANES + lane] = float(column)
-    B[EPS_FOOT * LANES + lane], B[EPS_AT_FOOT * LANES + lane], B[EPS_SLOPE * LANES + lane] = foot, eps, slope
-    B[AIR_FOOT * LANES + lane] = BIN_K * j
+    row = _air_row(table, J[block.ENTHALPY_TABLE + lane], j, column)
+    B[block.WALL_LOW * LANES + lane] = low if j == 0 else max(low, BIN_K * j)
+    B[block.WALL_HIGH * LANES + lane] = high if j == BINS - 1 else min(high, BIN_K * (j + 1))
+    B[block.WALL_COLUMN * LANES + lane] = float(column)
+    B[block.EPS_FOOT * LANES + lane], B[block.EPS_AT_FOOT * LANES + lane] = foot, eps
+    B[block.EPS_SLOPE * LANES + lane] = slope
+    B[block.AIR_FOOT * LANES + lane] = BIN_K * j
     for k in range(4):
-        B[(AIR + k) * LANES + lane] = table[row + k]
+        B[(block.AIR + k) * LANES + lane] = table[row + k]
 
 
 @force_inline
@@ -271,40 +226,42 @@ def _write_surface_balance(
 
     docs/theory/equations_thermal_step.md, equations 14 and 17.
     """
-    a = HEAD_ROWS * LANES + lane
-    wall, surface_fraction, factor = B[a + T * LANES], B[SURFACE_SHARE * LANES + lane], B[FACTOR_EPS * LANES + lane]
-    f = B[(AIR_PLACE + stage) * LANES + lane] - B[WALL_COLUMN * LANES + lane]
-    t = wall - B[AIR_FOOT * LANES + lane]
+    a = block.HEAD_ROWS * LANES + lane
+    wall, surface_fraction = B[a + block.T * LANES], B[block.SURFACE_SHARE * LANES + lane]
+    factor = B[block.FACTOR_EPS * LANES + lane]
+    f = B[(block.AIR_PLACE + stage) * LANES + lane] - B[block.WALL_COLUMN * LANES + lane]
+    t = wall - B[block.AIR_FOOT * LANES + lane]
     h_a, cp_a, h_b, cp_b = (
-        B[AIR * LANES + lane],
-        B[(AIR + 1) * LANES + lane],
-        B[(AIR + 2) * LANES + lane],
-        B[(AIR + 3) * LANES + lane],
+        B[block.AIR * LANES + lane],
+        B[(block.AIR + 1) * LANES + lane],
+        B[(block.AIR + 2) * LANES + lane],
+        B[(block.AIR + 3) * LANES + lane],
     )
     H_w, cp_w = _air_enthalpy(h_a, cp_a, h_b, cp_b, f, t)
     film, film_slope = film * surface_fraction, film_slope * surface_fraction
-    driving = B[(RECOVERY + stage) * LANES + lane] - H_w
+    driving = B[(block.RECOVERY + stage) * LANES + lane] - H_w
     cube = wall * wall * wall
-    excess = cube * wall - B[(STAGE_SURROUNDINGS4 + stage) * LANES + lane]
+    excess = cube * wall - B[(block.STAGE_SURROUNDINGS4 + stage) * LANES + lane]
     radiated = factor * eps * SIGMA * excess
-    B[a + SOURCE * LANES] = film * driving + B[(ADDED + stage) * LANES + lane] - radiated
+    B[a + block.SOURCE * LANES] = film * driving + B[(block.ADDED + stage) * LANES + lane] - radiated
     radiated = factor * SIGMA * (4.0 * eps * cube + eps_slope * excess)
-    B[a + SLOPE * LANES] = film_slope * driving - film * cp_w - radiated
+    B[a + block.SLOPE * LANES] = film_slope * driving - film * cp_w - radiated
 
 
 @force_inline
 def _emittance(B: FloatArray, lane: int) -> float:
     """Emittance [-] of a lane's surface from the cached piece, without effects."""
-    wall = B[(HEAD_ROWS + T) * LANES + lane]
-    return B[EPS_AT_FOOT * LANES + lane] + B[EPS_SLOPE * LANES + lane] * (wall - B[EPS_FOOT * LANES + lane])
+    wall = B[(block.HEAD_ROWS + block.T) * LANES + lane]
+    warmer = wall - B[block.EPS_FOOT * LANES + lane]
+    return B[block.EPS_AT_FOOT * LANES + lane] + B[block.EPS_SLOPE * LANES + lane] * warmer
 
 
 @inline_always
 def _cache_walls(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
     """Look up the pieces of emittance and air enthalpy of all lanes again where a lane has left its own."""
-    outside = lanes_outside(B, (HEAD_ROWS + T) * LANES, WALL_LOW * LANES, WALL_HIGH * LANES)
+    outside = lanes_outside(B, (block.HEAD_ROWS + block.T) * LANES, block.WALL_LOW * LANES, block.WALL_HIGH * LANES)
     for lane in range(LANES):
-        f = B[(AIR_PLACE + stage) * LANES + lane] - B[WALL_COLUMN * LANES + lane]
+        f = B[(block.AIR_PLACE + stage) * LANES + lane] - B[block.WALL_COLUMN * LANES + lane]
         outside += 0 if (f >= 0.0) & (f < 1.0) else 1
     # The count is of pairs of lanes and does not identify one: all eight are looked up again.
     if outside > 0:
@@ -325,11 +282,11 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, 
     """
     affected = 0
     for lane in range(LANES):
-        affected += J[N_EMITTING + lane] + J[N_EFFECTS + lane] - J[FIRST_AT_WALL + lane]
+        affected += J[block.N_EMITTING + lane] + J[block.N_EFFECTS + lane] - J[block.FIRST_AT_WALL + lane]
     _cache_walls(B, J, table, stage)
     for lane in range(LANES):
-        eps, film = _emittance(B, lane), B[(FILM + stage) * LANES + lane]
-        _write_surface_balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)
+        eps, film = _emittance(B, lane), B[(block.FILM + stage) * LANES + lane]
+        _write_surface_balance(B, lane, stage, eps, B[block.EPS_SLOPE * LANES + lane], film, 0.0)
     # Evaluated without effects above, then again where there are any: the loop without calls stays vectorised.
     if affected > 0:
         for lane in range(LANES):
@@ -346,27 +303,27 @@ def _add_still_air(B: FloatArray, stage: int) -> None:
     docs/theory/equations.md, section 4a.
     """
     for lane in range(LANES):
-        c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+        c = block.C_STAGES * LANES + (stage * LANES + lane) * block.N_CONDITIONS
         # In flight, and in a record, there is none.
-        if B[c + STILL_AIR] > 0.0:
-            a = HEAD_ROWS * LANES + lane
-            above = B[a + T * LANES] - B[c + AIR_K]
-            film = B[c + STILL_AIR] * exp(LN_10 / 3.0 * log10(max(abs(above), 1e-30)))
-            B[a + SOURCE * LANES] -= film * above
-            B[a + SLOPE * LANES] -= 4.0 / 3.0 * film
+        if B[c + block.STILL_AIR] > 0.0:
+            a = block.HEAD_ROWS * LANES + lane
+            above = B[a + block.T * LANES] - B[c + block.AIR_K]
+            film = B[c + block.STILL_AIR] * exp(LN_10 / 3.0 * log10(max(abs(above), 1e-30)))
+            B[a + block.SOURCE * LANES] -= film * above
+            B[a + block.SLOPE * LANES] -= 4.0 / 3.0 * film
 
 
 @inline_always
 def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, keeps_slope: bool) -> None:
     """Surface balance of a lane with effects on its emittance, or with effects that depend on the wall temperature."""
     # The first guess of a stage is extrapolated and may be below 0 K, where the rates of an effect are no numbers.
-    wall = max(B[(HEAD_ROWS + T) * LANES + lane], COLDEST_K)
-    eps, eps_slope = _emittance(B, lane), B[EPS_SLOPE * LANES + lane]
-    if J[N_EMITTING + lane] > 0:
+    wall = max(B[(block.HEAD_ROWS + block.T) * LANES + lane], COLDEST_K)
+    eps, eps_slope = _emittance(B, lane), B[block.EPS_SLOPE * LANES + lane]
+    if J[block.N_EMITTING + lane] > 0:
         factor, factor_slope = _factor_and_slope(B, J, dispatcher, lane, stage, wall)
         eps, eps_slope = eps * factor, eps_slope * factor + eps * factor_slope
-    film, film_slope = B[(FILM + stage) * LANES + lane], 0.0
-    if J[N_EFFECTS + lane] > J[FIRST_AT_WALL + lane]:
+    film, film_slope = B[(block.FILM + stage) * LANES + lane], 0.0
+    if J[block.N_EFFECTS + lane] > J[block.FIRST_AT_WALL + lane]:
         film, film_slope = _film_and_slope(B, J, dispatcher, lane, stage, wall, keeps_slope)
     _write_surface_balance(B, lane, stage, eps, eps_slope, film, film_slope)
 
@@ -383,14 +340,14 @@ def evaluate_back(B: FloatArray, J: IntArray, stage: int) -> None:
     18.
     """
     for lane in range(LANES):
-        a = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
-        inner, ambient = B[a + T * LANES + lane], B[(STAGE_BACK_T + stage) * LANES + lane]
-        emitted = SIGMA * B[BACK_EPS * LANES + lane]
-        h_b = B[BACK_H * LANES + lane]
+        a = (block.HEAD_ROWS + J[block.BACK_NODE + lane] * block.NODE_ROWS) * LANES
+        inner, ambient = B[a + block.T * LANES + lane], B[(block.STAGE_BACK_T + stage) * LANES + lane]
+        emitted = SIGMA * B[block.BACK_EPS * LANES + lane]
+        h_b = B[block.BACK_H * LANES + lane]
         cube, square = inner * inner * inner, ambient * ambient
-        B[a + SOURCE * LANES + lane] = -h_b * (inner - ambient) - emitted * (cube * inner - square * square)
-        B[a + SLOPE * LANES + lane] = -h_b - 4.0 * emitted * cube
-    if J[CONVECTS] == 1:
+        B[a + block.SOURCE * LANES + lane] = -h_b * (inner - ambient) - emitted * (cube * inner - square * square)
+        B[a + block.SLOPE * LANES + lane] = -h_b - 4.0 * emitted * cube
+    if J[block.CONVECTS] == 1:
         _add_natural_convection(B, J, stage)
 
 
@@ -398,9 +355,9 @@ def evaluate_back(B: FloatArray, J: IntArray, stage: int) -> None:
 def _add_natural_convection(B: FloatArray, J: IntArray, stage: int) -> None:
     """Add the natural convection of all lanes to the heat at the back face and its slope."""
     for lane in range(LANES):
-        a = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
-        above = B[a + T * LANES + lane] - B[(STAGE_BACK_T + stage) * LANES + lane]
-        n = B[NATURAL_EXPONENT * LANES + lane]
-        film = B[(STAGE_NATURAL + stage) * LANES + lane] * exp(n * LN_10 * log10(abs(above)))
-        B[a + SOURCE * LANES + lane] -= film * above
-        B[a + SLOPE * LANES + lane] -= (1.0 + n) * film
+        a = (block.HEAD_ROWS + J[block.BACK_NODE + lane] * block.NODE_ROWS) * LANES
+        above = B[a + block.T * LANES + lane] - B[(block.STAGE_BACK_T + stage) * LANES + lane]
+        n = B[block.NATURAL_EXPONENT * LANES + lane]
+        film = B[(block.STAGE_NATURAL + stage) * LANES + lane] * exp(n * LN_10 * log10(abs(above)))
+        B[a + block.SOURCE * LANES + lane] -= film * above
+        B[a + block.SLOPE * LANES + lane] -= (1.0 + n) * film

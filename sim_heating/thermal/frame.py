@@ -19,60 +19,8 @@ from functools import cache
 from typing import Any
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.kernels.block import (
-    ACTIVE,
-    ADDED,
-    AIR_PLACE,
-    BEFORE_FACES,
-    BEFORE_FAILED,
-    BEFORE_LAG,
-    C_STAGES,
-    COUNTED,
-    DONE,
-    E_STAR,
-    E_START,
-    END,
-    EXCESS,
-    FAILED,
-    FILM,
-    FRAME_END,
-    FRAME_START,
-    HEAD_ROWS,
-    LAG_INPUT,
-    LAG_PAST,
-    LAG_VALUE,
-    LANES,
-    LARGEST,
-    LAST_STEP,
-    MOVES,
-    N_CONDITIONS,
-    N_NODES,
-    NEGATIVE,
-    NET,
-    NODE_ROWS,
-    OUTSIDE,
-    PAST_ONSET,
-    PCOL,
-    PFRAC,
-    R_BASE,
-    RECOVERY,
-    SCALAR_ROWS,
-    STAGE_BACK_T,
-    STAGE_IN,
-    STAGE_LEFT,
-    STAGE_NATURAL,
-    STAGE_RIGHT,
-    STAGE_SURROUNDINGS4,
-    STAR_COPY,
-    STEP_FACTOR,
-    STEPPING,
-    STEPS,
-    T_START,
-    TOLERANCE,
-    TOLERATED,
-    VENTED,
-    T,
-)
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.block import LANES, STAGE_ROWS
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, force_inline, inline_always, njit
 from sim_heating.heating.film import heat_lanes
 from sim_heating.heating.ratio.lookup import invalidate_cells
@@ -91,10 +39,6 @@ from sim_heating.thermal.step import (
 
 EVALUATE_START = 0.0
 """Length [s] of a frame that only evaluates the start."""
-_OF_HEATING = (FILM, RECOVERY, ADDED, PCOL, PFRAC, AIR_PLACE, R_BASE, LAG_VALUE, LAG_INPUT)
-_OF_SURROUNDINGS = (STAGE_SURROUNDINGS4, STAGE_BACK_T, STAGE_NATURAL, VENTED, PAST_ONSET, STEP_FACTOR)
-STAGE_ROWS = (*_OF_HEATING, *_OF_SURROUNDINGS)
-"""First rows of the quantities that have one row for each of the three stages."""
 STEP_TOLERANCE_K = 0.02
 """Largest error of one step at any node [K]. On an entry at steps of 1 s one step in a hundred exceeds it."""
 NOT_CONTROLLED_K = 1e30
@@ -109,9 +53,9 @@ def _content_error(B: FloatArray, a: int, lane: int, dt: float) -> float:
 
     Written without F(Y1) and F(Y2), which a step does not store: docs/theory/equations_thermal_step.md, equation 42.
     """
-    start, star = B[a + E_START * LANES + lane], B[a + E_STAR * LANES + lane]
-    gain = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT) - star
-    explicit = (4.0 / 3.0 * EXPLICIT_WEIGHT * dt) * B[a + NET * LANES + lane]
+    start, star = B[a + block.E_START * LANES + lane], B[a + block.E_STAR * LANES + lane]
+    gain = heat_content(B, a + lane, block.STAGE_LEFT, block.STAGE_RIGHT) - star
+    explicit = (4.0 / 3.0 * EXPLICIT_WEIGHT * dt) * B[a + block.NET * LANES + lane]
     return explicit - (star - start) * (1.0 / (3.0 * EXPLICIT_WEIGHT)) + gain * (2.0 / 3.0)
 
 
@@ -123,17 +67,17 @@ def _bound_errors(B: FloatArray, n: int, dt: float) -> None:
     has at least whose specific heat does not fall with temperature: the capacities of the last assembly depend on how
     often other lanes iterated. Derived in docs/theory/equations_thermal_step.md, equation 44.
     """
-    tolerance = B[TOLERANCE * LANES]
+    tolerance = B[block.TOLERANCE * LANES]
     for lane in range(LANES):
-        B[(SCALAR_ROWS + EXCESS) * LANES + lane] = 0.0
+        B[(block.SCALAR_ROWS + block.EXCESS) * LANES + lane] = 0.0
     for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        previous = a - NODE_ROWS * LANES
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
+        previous = a - block.NODE_ROWS * LANES
         for lane in range(LANES):
-            content = B[a + STAGE_LEFT * LANES + lane] + B[a + STAGE_RIGHT * LANES + lane]
-            error = abs(_content_error(B, a, lane, dt)) * B[a + T * LANES + lane]
-            excess, largest = error - tolerance * content, B[previous + EXCESS * LANES + lane]
-            B[a + EXCESS * LANES + lane] = excess if excess > largest else largest
+            content = B[a + block.STAGE_LEFT * LANES + lane] + B[a + block.STAGE_RIGHT * LANES + lane]
+            error = abs(_content_error(B, a, lane, dt)) * B[a + block.T * LANES + lane]
+            excess, largest = error - tolerance * content, B[previous + block.EXCESS * LANES + lane]
+            B[a + block.EXCESS * LANES + lane] = excess if excess > largest else largest
 
 
 @njit
@@ -143,28 +87,29 @@ def _filter_errors(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt
     With E* + A e for E* the residual at the end of the step is -A e, so that Newton's update is e itself; no lane takes
     it. Derived in docs/theory/equations_thermal_step.md, equation 43.
     """
-    n = J[N_NODES]
-    behind = (HEAD_ROWS + n * NODE_ROWS) * LANES
+    n = J[block.N_NODES]
+    behind = (block.HEAD_ROWS + n * block.NODE_ROWS) * LANES
     for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
         for lane in range(LANES):
-            B[a + STAR_COPY * LANES + lane] = B[a + E_STAR * LANES + lane]
-            B[a + E_STAR * LANES + lane] += _content_error(B, a, lane, dt)
+            B[a + block.STAR_COPY * LANES + lane] = B[a + block.E_STAR * LANES + lane]
+            B[a + block.E_STAR * LANES + lane] += _content_error(B, a, lane, dt)
     for lane in range(LANES):
         # Evaluating the faces writes the lag at the last temperature, not at that of the lane's own last iterate.
-        B[BEFORE_LAG * LANES + lane] = B[(LAG_VALUE + END) * LANES + lane]
-        B[(BEFORE_LAG + 1) * LANES + lane] = B[(LAG_INPUT + END) * LANES + lane]
-    evaluate_faces(B, J, table, dispatcher, END)
+        B[block.BEFORE_LAG * LANES + lane] = B[(block.LAG_VALUE + block.END) * LANES + lane]
+        B[(block.BEFORE_LAG + 1) * LANES + lane] = B[(block.LAG_INPUT + block.END) * LANES + lane]
+    evaluate_faces(B, J, table, dispatcher, block.END)
     assemble(B, J, table, STAGE_WEIGHT * dt, REDUCED)
     for lane in range(LANES):
-        B[(LAG_VALUE + END) * LANES + lane] = B[BEFORE_LAG * LANES + lane]
-        B[(LAG_INPUT + END) * LANES + lane] = B[(BEFORE_LAG + 1) * LANES + lane]
-        B[ACTIVE * LANES + lane] = B[behind + MOVES * LANES + lane] = B[behind + LARGEST * LANES + lane] = 0.0
+        B[(block.LAG_VALUE + block.END) * LANES + lane] = B[block.BEFORE_LAG * LANES + lane]
+        B[(block.LAG_INPUT + block.END) * LANES + lane] = B[(block.BEFORE_LAG + 1) * LANES + lane]
+        B[block.ACTIVE * LANES + lane] = B[behind + block.MOVES * LANES + lane] = 0.0
+        B[behind + block.LARGEST * LANES + lane] = 0.0
     substitute_back(B, n)
     for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
         for lane in range(LANES):
-            B[a + E_STAR * LANES + lane] = B[a + STAR_COPY * LANES + lane]
+            B[a + block.E_STAR * LANES + lane] = B[a + block.STAR_COPY * LANES + lane]
 
 
 @inline_always
@@ -175,22 +120,25 @@ def _judge_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: 
 
     A lane that failed before in this march is not divided again: it has no result to improve.
     """
-    doubtful, end = 0, (HEAD_ROWS + (J[N_NODES] - 1) * NODE_ROWS) * LANES
+    doubtful, end = 0, (block.HEAD_ROWS + (J[block.N_NODES] - 1) * block.NODE_ROWS) * LANES
     if not last:
-        _bound_errors(B, J[N_NODES], dt)
+        _bound_errors(B, J[block.N_NODES], dt)
     for lane in range(LANES):
-        B[TOLERATED * LANES + lane] = B[STEPPING * LANES + lane]
-        judged = B[STEPPING * LANES + lane] > 0.0 and not last and B[BEFORE_FAILED * LANES + lane] == 0.0
+        B[block.TOLERATED * LANES + lane] = B[block.STEPPING * LANES + lane]
+        judged = B[block.STEPPING * LANES + lane] > 0.0 and not last and B[block.BEFORE_FAILED * LANES + lane] == 0.0
         # `not <=`, so that a NaN counts as an error.
-        if judged and (not B[end + EXCESS * LANES + lane] <= 0.0 or B[FAILED * LANES + lane] > 0.0):
-            B[TOLERATED * LANES + lane] = 0.0
+        if judged and (not B[end + block.EXCESS * LANES + lane] <= 0.0 or B[block.FAILED * LANES + lane] > 0.0):
+            B[block.TOLERATED * LANES + lane] = 0.0
             doubtful += 1
     if doubtful > 0:
         _filter_errors(B, J, table, dispatcher, dt)
         for lane in range(LANES):
-            rejected = B[STEPPING * LANES + lane] > B[TOLERATED * LANES + lane] and B[FAILED * LANES + lane] == 0.0
-            if rejected and B[(HEAD_ROWS + LARGEST) * LANES + lane] <= B[TOLERANCE * LANES + lane]:
-                B[TOLERATED * LANES + lane] = 1.0
+            rejected = (
+                B[block.STEPPING * LANES + lane] > B[block.TOLERATED * LANES + lane]
+                and B[block.FAILED * LANES + lane] == 0.0
+            )
+            if rejected and B[(block.HEAD_ROWS + block.LARGEST) * LANES + lane] <= B[block.TOLERANCE * LANES + lane]:
+                B[block.TOLERATED * LANES + lane] = 1.0
                 doubtful -= 1
     return doubtful
 
@@ -202,31 +150,31 @@ def _settle_lanes(B: FloatArray, n: int, dt: float, end: float) -> None:
     end : part of the frame at which the step ends, of FINEST
     """
     for lane in range(LANES):
-        if B[TOLERATED * LANES + lane] > 0.0:
-            B[LAST_STEP * LANES + lane] = dt
-            B[DONE * LANES + lane] = end
-            B[STEPS * LANES + lane] += 1.0
+        if B[block.TOLERATED * LANES + lane] > 0.0:
+            B[block.LAST_STEP * LANES + lane] = dt
+            B[block.DONE * LANES + lane] = end
+            B[block.STEPS * LANES + lane] += 1.0
             # The end of a step is the start of the next; a lane that does not tolerate it keeps its own start.
             for row in STAGE_ROWS:
                 B[row * LANES + lane] = B[(row + 2) * LANES + lane]
         else:
             for k in range(4):
-                B[(STAGE_IN + k) * LANES + lane] = B[(BEFORE_FACES + k) * LANES + lane]
-            B[FAILED * LANES + lane] = B[BEFORE_FAILED * LANES + lane]
+                B[(block.STAGE_IN + k) * LANES + lane] = B[(block.BEFORE_FACES + k) * LANES + lane]
+            B[block.FAILED * LANES + lane] = B[block.BEFORE_FAILED * LANES + lane]
     for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
         for lane in range(LANES):
-            if B[TOLERATED * LANES + lane] > 0.0:
+            if B[block.TOLERATED * LANES + lane] > 0.0:
                 close_node(B, a, lane, dt)
             else:
-                B[a + T * LANES + lane] = B[a + T_START * LANES + lane]
+                B[a + block.T * LANES + lane] = B[a + block.T_START * LANES + lane]
 
 
 @njit
 def _solve_interval(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -> None:
     """One step of dt [s] between the conditions of stages 0 and 2, not closed: heating at its stages, temperatures."""
-    span = LANES * N_CONDITIONS
-    first = C_STAGES * LANES
+    span = LANES * block.N_CONDITIONS
+    first = block.C_STAGES * LANES
     for k in range(span):
         now, then = B[first + k], B[first + 2 * span + k]
         B[first + span + k] = now + GAMMA * (then - now)
@@ -241,15 +189,15 @@ def _select_interval(B: FloatArray, begin: int, end: int) -> None:
 
     begin, end : of FINEST. Derived in docs/theory/equations_march.md, equation 1.
     """
-    span = LANES * N_CONDITIONS
-    stages = C_STAGES * LANES
-    now, then = stages + FRAME_START * span, stages + FRAME_END * span
+    span = LANES * block.N_CONDITIONS
+    stages = block.C_STAGES * LANES
+    now, then = stages + block.FRAME_START * span, stages + block.FRAME_END * span
     before, after = begin * (1.0 / FINEST), end * (1.0 / FINEST)
     for lane in range(LANES):
-        B[STEPPING * LANES + lane] = 0.0
-        if B[DONE * LANES + lane] == begin:
-            B[STEPPING * LANES + lane] = 1.0
-            for c in range(lane * N_CONDITIONS, (lane + 1) * N_CONDITIONS):
+        B[block.STEPPING * LANES + lane] = 0.0
+        if B[block.DONE * LANES + lane] == begin:
+            B[block.STEPPING * LANES + lane] = 1.0
+            for c in range(lane * block.N_CONDITIONS, (lane + 1) * block.N_CONDITIONS):
                 change = B[then + c] - B[now + c]
                 B[stages + c] = B[now + c] + before * change
                 # The last part takes the end itself, without rounding.
@@ -263,23 +211,23 @@ def _divide_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt:
     Parts of the frame are visited as the nodes of a binary tree, in order of time: the first half of a part that a lane
     does not tolerate, then its second half. A lane takes part in those that begin where it stands.
     """
-    span = LANES * N_CONDITIONS
-    stages = C_STAGES * LANES
+    span = LANES * block.N_CONDITIONS
+    stages = block.C_STAGES * LANES
     for k in range(span):
-        B[stages + FRAME_START * span + k] = B[stages + k]
-        B[stages + FRAME_END * span + k] = B[stages + 2 * span + k]
+        B[stages + block.FRAME_START * span + k] = B[stages + k]
+        B[stages + block.FRAME_END * span + k] = B[stages + 2 * span + k]
     for lane in range(LANES):
         # The single step has counted the end of the frame; ends of its parts are not counted.
-        B[COUNTED * LANES + lane] = B[OUTSIDE * LANES + lane]
-        B[DONE * LANES + lane] = 0.0
-    _settle_lanes(B, J[N_NODES], dt, float(FINEST))
+        B[block.COUNTED * LANES + lane] = B[block.OUTSIDE * LANES + lane]
+        B[block.DONE * LANES + lane] = 0.0
+    _settle_lanes(B, J[block.N_NODES], dt, float(FINEST))
     begin, length = 0, FINEST // 2
     while begin < FINEST:
         _select_interval(B, begin, begin + length)
         part_s = dt * (length * (1.0 / FINEST))
         _solve_interval(B, J, table, dispatcher, part_s)
         again = _judge_lanes(B, J, table, dispatcher, part_s, length == 1)
-        _settle_lanes(B, J[N_NODES], part_s, float(begin + length))
+        _settle_lanes(B, J[block.N_NODES], part_s, float(begin + length))
         if again > 0:
             length = length // 2
         else:
@@ -287,18 +235,18 @@ def _divide_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt:
             begin += length
             length = begin & -begin
     for k in range(span):
-        B[stages + 2 * span + k] = B[stages + FRAME_END * span + k]
+        B[stages + 2 * span + k] = B[stages + block.FRAME_END * span + k]
     for lane in range(LANES):
         for row in STAGE_ROWS:
             B[(row + 2) * LANES + lane] = B[row * LANES + lane]
-        B[OUTSIDE * LANES + lane] = B[COUNTED * LANES + lane]
+        B[block.OUTSIDE * LANES + lane] = B[block.COUNTED * LANES + lane]
 
 
 @inline_always
 def _count_negative_films(B: FloatArray) -> None:
     """Count the lanes whose film coefficient at the end of the frame is below 0, as their heating ratio is."""
     for lane in range(LANES):
-        B[NEGATIVE * LANES + lane] += 1.0 if B[(FILM + END) * LANES + lane] < 0.0 else 0.0
+        B[block.NEGATIVE * LANES + lane] += 1.0 if B[(block.FILM + block.END) * LANES + lane] < 0.0 else 0.0
 
 
 @inline_always
@@ -307,8 +255,8 @@ def _evaluate_now(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) -> 
     invalidate_cells(B)
     invalidate_walls(B)
     for lane in range(LANES):
-        B[LAG_PAST * LANES + lane] = 0.0
-    heat_lanes(B, J, table, dispatcher, END)
+        B[block.LAG_PAST * LANES + lane] = 0.0
+    heat_lanes(B, J, table, dispatcher, block.END)
     evaluate_start(B, J, table, dispatcher)
     _count_negative_films(B)
 
@@ -324,11 +272,11 @@ def _advance_frame(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt
         for lane in range(LANES):
             B[row * LANES + lane] = B[(row + 2) * LANES + lane]
     for lane in range(LANES):
-        B[LAG_PAST * LANES + lane] = 1.0
-        B[STEPPING * LANES + lane] = 1.0
+        B[block.LAG_PAST * LANES + lane] = 1.0
+        B[block.STEPPING * LANES + lane] = 1.0
     _solve_interval(B, J, table, dispatcher, dt)
-    if B[TOLERANCE * LANES] >= NOT_CONTROLLED_K or _judge_lanes(B, J, table, dispatcher, dt, False) == 0:
-        close_step(B, J[N_NODES], dt)
+    if B[block.TOLERANCE * LANES] >= NOT_CONTROLLED_K or _judge_lanes(B, J, table, dispatcher, dt, False) == 0:
+        close_step(B, J[block.N_NODES], dt)
     else:
         _divide_frame(B, J, table, dispatcher, dt)
     _count_negative_films(B)
@@ -359,8 +307,8 @@ def shift_conditions(B: FloatArray) -> None:
 
     Source: docs/theory/equations_march.md, equation 3.
     """
-    span = LANES * N_CONDITIONS
-    first = C_STAGES * LANES
+    span = LANES * block.N_CONDITIONS
+    first = block.C_STAGES * LANES
     for k in range(span):
         B[first + k] = B[first + 2 * span + k]
 

@@ -27,40 +27,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.kernels.block import (
-    AIR_PLACE,
-    BACK_NODE,
-    C_LEFT,
-    C_RIGHT,
-    C_STAGES,
-    CELL_WORK,
-    DIAGONAL,
-    E_LEFT,
-    E_RIGHT,
-    E_START,
-    END,
-    ENTRY,
-    GAPS,
-    HEAD_ROWS,
-    LAG_INPUT,
-    LAG_PAST,
-    LAG_VALUE,
-    LANES,
-    LOWER,
-    N_CONDITIONS,
-    N_NODES,
-    N_PARAMETERS,
-    NET,
-    NODE_ROWS,
-    PARAMETERS,
-    PAST_ONSET,
-    PCOL,
-    PFRAC,
-    RESIDUAL,
-    SOURCE,
-    TIME,
-    T,
-)
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, address_of, c_function, force_inline, njit
 from sim_heating.base.kernels.operations import call_step, pointer
 from sim_heating.heating.film import heat_perturbed_lanes
@@ -69,7 +37,7 @@ from sim_heating.thermal.assembly import SHARE, WHOLE_ROWS, assemble, heat_conte
 from sim_heating.thermal.faces import evaluate_faces, evaluate_perturbed_faces
 from sim_heating.thermal.step import BDF_WEIGHT, GAMMA, STAGE_WEIGHT, LaneGroup
 
-NODE = NODE_ROWS * LANES
+NODE = block.NODE_ROWS * LANES
 """Numbers in the block from a node to the next."""
 ACTS_NOWHERE, ACTS_AT_FACES, ACTS_ALONG_GAP, ACTS_IN_ROWS = range(4)
 """Where a parameter acts: not in the march; at the two faces; at the nodes along a gap as well; in whole rows."""
@@ -130,9 +98,9 @@ def rows_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: floa
 
     Source: docs/theory/equations_thermal_step.md, equations 25 to 28 and 34.
     """
-    heat_perturbed_lanes(B, J, table, dispatcher, END)
-    select_pressure(B, J, END)
-    evaluate_faces(B, J, table, dispatcher, END)
+    heat_perturbed_lanes(B, J, table, dispatcher, block.END)
+    select_pressure(B, J, block.END)
+    evaluate_faces(B, J, table, dispatcher, block.END)
     assemble(B, J, table, ddt, WHOLE_ROWS)
 
 
@@ -142,8 +110,8 @@ def faces_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: flo
     ddt is not used: the signature is that of `rows_at`. Source: docs/theory/equations_thermal_step.md, equations 14 to
     16.
     """
-    heat_perturbed_lanes(B, J, table, dispatcher, END)
-    evaluate_perturbed_faces(B, J, table, dispatcher, END)
+    heat_perturbed_lanes(B, J, table, dispatcher, block.END)
+    evaluate_perturbed_faces(B, J, table, dispatcher, block.END)
 
 
 @cache
@@ -162,8 +130,8 @@ def assembly_addresses() -> tuple[Any, Any]:
 def _copy_temperatures(B: FloatArray, X: FloatArray, start: int, source: IntArray, g: int, i: int, row: int) -> None:
     """Set node i of a group of perturbed lanes to the temperatures of the nominal lanes."""
     for s in range(LANES):
-        at = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        X[start + at + T * LANES + s] = B[at + row * LANES + source[g * LANES + s]]
+        at = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
+        X[start + at + block.T * LANES + s] = B[at + row * LANES + source[g * LANES + s]]
 
 
 @njit
@@ -185,28 +153,28 @@ def assemble_perturbed(
     for g in range(len(groups)):
         start, ints = groups[g, 0], groups[g, 2]
         # Where only the faces are evaluated, two nodes are enough, unless gaps take heat in at others.
-        if g < perturbed.assembled or J[ints + GAPS] == 1:
-            for i in range(J[ints + N_NODES]):
+        if g < perturbed.assembled or J[ints + block.GAPS] == 1:
+            for i in range(J[ints + block.N_NODES]):
                 _copy_temperatures(B, X, start, source, g, i, row)
         else:
             _copy_temperatures(B, X, start, source, g, 0, row)
             for s in range(LANES):
-                _copy_temperatures(B, X, start, source, g, J[ints + BACK_NODE + s], row)
+                _copy_temperatures(B, X, start, source, g, J[ints + block.BACK_NODE + s], row)
         for s in range(LANES):
             lane = source[g * LANES + s]
             # Once a step: the end of the last step is the past of lag and hysteresis at both stages of this one.
             if stage == 1:
-                X[start + LAG_PAST * LANES + s] = 1.0
-                for memory in (LAG_VALUE, LAG_INPUT, PAST_ONSET):
+                X[start + block.LAG_PAST * LANES + s] = 1.0
+                for memory in (block.LAG_VALUE, block.LAG_INPUT, block.PAST_ONSET):
                     X[start + memory * LANES + s] = X[start + (memory + 2) * LANES + s]
-            time_at = C_STAGES * LANES + lane * N_CONDITIONS + TIME
-            X[start + C_STAGES * LANES + s * N_CONDITIONS + TIME] = B[time_at]
-            to_condition = start + C_STAGES * LANES + (2 * LANES + s) * N_CONDITIONS
-            from_condition = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
-            for c in range(N_CONDITIONS):
+            time_at = block.C_STAGES * LANES + lane * block.N_CONDITIONS + block.TIME
+            X[start + block.C_STAGES * LANES + s * block.N_CONDITIONS + block.TIME] = B[time_at]
+            to_condition = start + block.C_STAGES * LANES + (2 * LANES + s) * block.N_CONDITIONS
+            from_condition = block.C_STAGES * LANES + (stage * LANES + lane) * block.N_CONDITIONS
+            for c in range(block.N_CONDITIONS):
                 X[to_condition + c] = B[from_condition + c]
-            for pressure in (PCOL, PFRAC, AIR_PLACE):
-                X[start + (pressure + END) * LANES + s] = B[(pressure + stage) * LANES + lane]
+            for pressure in (block.PCOL, block.PFRAC, block.AIR_PLACE):
+                X[start + (pressure + block.END) * LANES + s] = B[(pressure + stage) * LANES + lane]
         x, j = pointer(X[start : groups[g, 1]]), pointer(J[ints : groups[g, 3]])
         assembly = perturbed.rows if g < perturbed.assembled else perturbed.faces
         call_step(assembly, x, j, pointer(group.table), group.dispatcher, ddt)
@@ -222,9 +190,10 @@ def start_from_copy(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) ->
     docs/theory/equations_thermal_step.md, equations 4 and 25 with kappa = 1 s.
     """
     for i in range(n):
-        content, a = heat_content(X, at + i * NODE, E_LEFT, E_RIGHT), (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
-        B[a + E_START * LANES] = content
-        B[a + NET * LANES] = content - X[at + i * NODE + RESIDUAL * LANES]
+        content = heat_content(X, at + i * NODE, block.E_LEFT, block.E_RIGHT)
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES + lane
+        B[a + block.E_START * LANES] = content
+        B[a + block.NET * LANES] = content - X[at + i * NODE + block.RESIDUAL * LANES]
 
 
 @njit
@@ -235,14 +204,14 @@ def _subtract_forcing(x, p: PerturbedOffsets, lane: int, forced: int, ddt: float
         plus, minus, inverse, reach = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k], p.reach[lane, k]
         if reach == ACTS_IN_ROWS:
             for i in range(n):
-                row = i * NODE + RESIDUAL * LANES
+                row = i * NODE + block.RESIDUAL * LANES
                 S[at + i * width + k] -= (x[plus + row] - x[minus + row]) * inverse
         elif reach != ACTS_NOWHERE:
             if p.linear[lane, k] != OWN_PERTURBATION:
                 inverse *= against_ratio(x, p.at[lane], p.linear[lane, k])
             # ACTS_AT_FACES: the first and the last node; ACTS_ALONG_GAP: every node.
             for i in range(0, n, n - 1 if reach == ACTS_AT_FACES else 1):
-                row = i * NODE + SOURCE * LANES
+                row = i * NODE + block.SOURCE * LANES
                 S[at + i * width + k] += ddt * ((x[plus + row] - x[minus + row]) * inverse)
 
 
@@ -252,12 +221,12 @@ def against_ratio(X: FloatArray, at: int, k: int) -> float:
 
     Source: docs/theory/equations_march.md, equation 12.
     """
-    first = at - HEAD_ROWS * LANES
+    first = at - block.HEAD_ROWS * LANES
     lane = first % LANES
-    block = first - lane
-    p = block + PARAMETERS * LANES + lane * N_PARAMETERS
-    c = block + C_STAGES * LANES + (END * LANES + lane) * N_CONDITIONS
-    return linear_ratio_derivative(X, p, c, X[first + CELL_WORK * LANES], k)
+    base = first - lane
+    p = base + block.PARAMETERS * LANES + lane * block.N_PARAMETERS
+    c = base + block.C_STAGES * LANES + (block.END * LANES + lane) * block.N_CONDITIONS
+    return linear_ratio_derivative(X, p, c, X[first + block.CELL_WORK * LANES], k)
 
 
 @force_inline
@@ -309,16 +278,16 @@ def content_columns(x, p: PerturbedOffsets, lane: int, forced: int, S, e, at: in
     n = p.nodes[lane]
     for i in range(n):
         a, here = p.at[lane] + i * NODE, at + i * width
-        inner = (1.0 - SHARE) * (x[a + C_LEFT * LANES] + x[a + C_RIGHT * LANES])
-        from_left, from_right = SHARE * x[a - NODE + C_RIGHT * LANES], SHARE * x[a + NODE + C_LEFT * LANES]
+        inner = (1.0 - SHARE) * (x[a + block.C_LEFT * LANES] + x[a + block.C_RIGHT * LANES])
+        from_left, from_right = SHARE * x[a - NODE + block.C_RIGHT * LANES], SHARE * x[a + NODE + block.C_LEFT * LANES]
         above, below = here - width if i > 0 else here, here + width if i < n - 1 else here
         _weighted_sum(e, here, inner, S, here, from_left, S, above, from_right, S, below, width)
     for k in range(forced):
         if p.reach[lane, k] == ACTS_IN_ROWS:
             plus, minus, inverse = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k]
             for i in range(n):
-                raised = heat_content(x, plus + i * NODE, E_LEFT, E_RIGHT)
-                lowered = heat_content(x, minus + i * NODE, E_LEFT, E_RIGHT)
+                raised = heat_content(x, plus + i * NODE, block.E_LEFT, block.E_RIGHT)
+                lowered = heat_content(x, minus + i * NODE, block.E_LEFT, block.E_RIGHT)
                 e[at + i * width + k] += (raised - lowered) * inverse
 
 
@@ -339,9 +308,9 @@ def begin_columns(x, p: PerturbedOffsets, lane: int, forced: int, S, e, f, at: i
     content_columns(x, p, lane, forced, S, e, at, width)
     for i in range(n):
         a, here = p.at[lane] + i * NODE, at + i * width
-        diagonal = x[a + DIAGONAL * LANES]
-        lower = x[a - NODE + LOWER * LANES] if i > 0 else 0.0
-        entry = x[a + ENTRY * LANES] if i < n - 1 else 0.0
+        diagonal = x[a + block.DIAGONAL * LANES]
+        lower = x[a - NODE + block.LOWER * LANES] if i > 0 else 0.0
+        entry = x[a + block.ENTRY * LANES] if i < n - 1 else 0.0
         above, below = here - width if i > 0 else here, here + width if i < n - 1 else here
         for k in range(width):
             f[here + k] = e[here + k] - diagonal * S[here + k] - lower * S[above + k] - entry * S[below + k]
@@ -370,9 +339,9 @@ def solve_columns(
     before = 0.0
     for i in range(n):
         a, here = p.at[lane] + i * NODE, at + i * width
-        lower = x[a - NODE + LOWER * LANES] if i > 0 else 0.0
-        pivot = 1.0 / (x[a + DIAGONAL * LANES] - lower * before)
-        before = x[a + ENTRY * LANES] * pivot
+        lower = x[a - NODE + block.LOWER * LANES] if i > 0 else 0.0
+        pivot = 1.0 / (x[a + block.DIAGONAL * LANES] - lower * before)
+        before = x[a + block.ENTRY * LANES] * pivot
         reduced[i] = before
         _difference(S, here, pivot, S, here, lower * pivot, S, here - width if i > 0 else here, width)
     for i in range(n - 2, -1, -1):

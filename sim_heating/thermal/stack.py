@@ -11,25 +11,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
+from sim_heating.base import files
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import tell
-from sim_heating.base.files import (
-    COLDEST_K,
-    Declared,
-    LocatedError,
-    Location,
-    celsius_rule,
-    check,
-    raise_located,
-    suggestion,
-)
+from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule
 from sim_heating.base.files.toml import remarks_of
 from sim_heating.base.limits import HOTTEST_K, QUANTITIES, usual_remark
 from sim_heating.thermal.sampling import RATE_TEXT, SampleRate, require_span, word_step
@@ -113,7 +105,7 @@ def _hot_problems(table: Table) -> list[tuple[Location, str]]:
 
 
 def _raise_located(problems: Sequence[tuple[Location, str]]) -> None:
-    raise_located(problems)
+    files.raise_located(problems)
 
 
 def _axis_problems(key: str, values: list[float]) -> list[tuple[Location, str]]:
@@ -732,21 +724,23 @@ def _gas_problems(stack: Stack, materials: Mapping[str, Material]) -> list[tuple
         if kinds[i] == "solid":
             stated = [face for face in FACES if getattr(layer, face) is not None]
             problems += [((*where, f), "is of a layer of gas, and this one is solid; remove it") for f in stated]
-            continue
-        neighbours = kinds[max(i - 1, 0) : i] + kinds[i + 1 : i + 2]
-        if neighbours != ["solid", "solid"]:
+        elif kinds[max(i - 1, 0) : i] + kinds[i + 1 : i + 2] != ["solid", "solid"]:
             problems.append(((*where, "material"), "a layer of gas lies between two solid ones; add the one it lacks"))
-            continue
-        if layer.contact_m2K_W > 0.0 or stack.layer[i - 1].contact_m2K_W > 0.0:
-            rule = "a layer of gas has no contact resistance at its faces; remove it"
-            problems.append(((*where, "contact_m2K_W"), rule))
-        for face, side in FACES.items():
-            if face_emittance(stack, materials, i, face) is None:
-                material = stack.layer[i + side].material
-                why = "changes with temperature" if materials[material].emissivity else "is not stated"
-                rule = f"is missing: the faces of a gas layer radiate, and the emittance of `{material}` {why}; add it"
-                problems.append(((*where, face), rule))
+        else:
+            problems += [((*where, key), rule) for key, rule in _face_problems(stack, materials, i)]
     return problems
+
+
+def _face_problems(stack: Stack, materials: Mapping[str, Material], gas: int) -> Iterator[tuple[str, str]]:
+    """Key and rule of what is wrong at the two faces of a layer of gas."""
+    if stack.layer[gas].contact_m2K_W > 0.0 or stack.layer[gas - 1].contact_m2K_W > 0.0:
+        yield "contact_m2K_W", "a layer of gas has no contact resistance at its faces; remove it"
+    for face, side in FACES.items():
+        if face_emittance(stack, materials, gas, face) is None:
+            material = stack.layer[gas + side].material
+            why = "changes with temperature" if materials[material].emissivity else "is not stated"
+            rule = f"is missing: the faces of a gas layer radiate, and the emittance of `{material}` {why}; add it"
+            yield face, rule
 
 
 def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[tuple[Location, str]]:
@@ -759,7 +753,7 @@ def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[t
     problems: list[tuple[Location, str]] = []
     for i, layer in enumerate(stack.layer):
         if layer.material not in materials:
-            hint = suggestion(layer.material, materials, otherwise=f"; add [materials.{layer.material}]")
+            hint = files.suggestion(layer.material, materials, otherwise=f"; add [materials.{layer.material}]")
             problems.append((("stack", "layer", i, "material"), f"unknown material `{layer.material}`{hint}"))
     outer = materials.get(stack.layer[0].material)
     if outer is not None and outer.emissivity is None:
@@ -826,6 +820,6 @@ def construct(stack: Stack, materials: Mapping[str, Material], where: str = "con
     # all of them where one is unknown, which may be misspelt
     materials_used = {n: m for n, m in materials.items() if n in used} if used <= materials.keys() else materials
     parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in materials_used.items()}}
-    construction = check(parts, Construction, where, tells=False)  # the files of its parts have told of each
+    construction = files.check(parts, Construction, where, tells=False)  # the files of its parts have told of each
     tell(remarks_of(construction, parts, where, below=False))
     return construction

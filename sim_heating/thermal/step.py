@@ -25,52 +25,8 @@ import math
 from typing import Any, NamedTuple
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.kernels.block import (
-    ACTIVE,
-    BACK_NODE,
-    BEFORE_FACES,
-    BEFORE_FAILED,
-    BEND2,
-    C_LEFT,
-    C_RIGHT,
-    CURVE,
-    DELTA,
-    E_LEFT,
-    E_RIGHT,
-    E_STAR,
-    E_START,
-    END,
-    ENERGY_IN,
-    ENERGY_OUT,
-    FAILED,
-    GAPS,
-    HEAD_ROWS,
-    HIGH,
-    ITERATIONS,
-    LANES,
-    LARGEST,
-    LAST_STEP,
-    LOW,
-    MOVES,
-    N_NODES,
-    NET,
-    NODE_ROWS,
-    RATE,
-    RESIDUAL,
-    SCALAR_ROWS,
-    SLOPE,
-    SOURCE,
-    STAGE_IN,
-    STAGE_LEFT,
-    STAGE_OUT,
-    STAGE_RIGHT,
-    STEPPING,
-    STEPS,
-    T_STAGE,
-    T_START,
-    UPPER,
-    T,
-)
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 from sim_heating.thermal.assembly import REDUCED, WHOLE_ROWS, assemble, heat_content, select_pressure
 from sim_heating.thermal.faces import COLDEST_K, evaluate_faces
@@ -116,33 +72,32 @@ class LaneGroup(NamedTuple):
 @force_inline
 def _entering_heat(B: FloatArray, a: int, lane: int) -> float:
     """Heat that enters a lane at the node at B[a] [W/m2], linearised over its last update as Newton's system has it."""
-    return B[a + SOURCE * LANES + lane] + B[a + SLOPE * LANES + lane] * B[a + DELTA * LANES + lane]
+    return B[a + block.SOURCE * LANES + lane] + B[a + block.SLOPE * LANES + lane] * B[a + block.DELTA * LANES + lane]
 
 
 @inline_always
 def _record_face_heat(B: FloatArray, J: IntArray) -> None:
     """Record the heat at the faces of the lanes just updated (docs/theory/equations_thermal_step.md, equation 30)."""
-    front = HEAD_ROWS * LANES
+    front = block.HEAD_ROWS * LANES
     for lane in range(LANES):
-        moves = B[ACTIVE * LANES + lane] > 0.0
+        moves = B[block.ACTIVE * LANES + lane] > 0.0
         # Linearised, not evaluated again: the energy balance closes to rounding however large the last update was.
         heat = _entering_heat(B, front, lane)
-        B[STAGE_IN * LANES + lane] = heat if moves else B[STAGE_IN * LANES + lane]
+        B[block.STAGE_IN * LANES + lane] = heat if moves else B[block.STAGE_IN * LANES + lane]
     for lane in range(LANES):
-        if B[ACTIVE * LANES + lane] > 0.0:
-            B[STAGE_OUT * LANES + lane] = -_entering_heat(
-                B, (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES, lane
-            )
-            if J[GAPS] == 1:
-                for i in range(1, J[BACK_NODE + lane]):
-                    B[STAGE_IN * LANES + lane] += _entering_heat(B, front + i * NODE_ROWS * LANES, lane)
+        if B[block.ACTIVE * LANES + lane] > 0.0:
+            back = (block.HEAD_ROWS + J[block.BACK_NODE + lane] * block.NODE_ROWS) * LANES
+            B[block.STAGE_OUT * LANES + lane] = -_entering_heat(B, back, lane)
+            if J[block.GAPS] == 1:
+                for i in range(1, J[block.BACK_NODE + lane]):
+                    B[block.STAGE_IN * LANES + lane] += _entering_heat(B, front + i * block.NODE_ROWS * LANES, lane)
 
 
 @njit
 def _add_energy(B: FloatArray, weight: float) -> None:
     for lane in range(LANES):
-        B[ENERGY_IN * LANES + lane] += weight * B[STAGE_IN * LANES + lane]
-        B[ENERGY_OUT * LANES + lane] += weight * B[STAGE_OUT * LANES + lane]
+        B[block.ENERGY_IN * LANES + lane] += weight * B[block.STAGE_IN * LANES + lane]
+        B[block.ENERGY_OUT * LANES + lane] += weight * B[block.STAGE_OUT * LANES + lane]
 
 
 @inline_always
@@ -155,32 +110,34 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) ->
     A step leaves the same quantities at its end; this evaluates them where no step precedes.
     Source: docs/theory/equations_thermal_step.md, equations 3, 4 and 22.
     """
-    n = J[N_NODES]
-    select_pressure(B, J, END)
+    n = J[block.N_NODES]
+    select_pressure(B, J, block.END)
     for lane in range(LANES):
-        B[ACTIVE * LANES + lane] = 1.0
-    evaluate_faces(B, J, table, dispatcher, END)
+        B[block.ACTIVE * LANES + lane] = 1.0
+    evaluate_faces(B, J, table, dispatcher, block.END)
     for lane in range(LANES):
-        B[STAGE_IN * LANES + lane] = B[(HEAD_ROWS + SOURCE) * LANES + lane]
-        back = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
-        B[STAGE_OUT * LANES + lane] = -B[back + SOURCE * LANES + lane]
-        if J[GAPS] == 1:
-            for i in range(1, J[BACK_NODE + lane]):
-                B[STAGE_IN * LANES + lane] += B[(HEAD_ROWS + i * NODE_ROWS + SOURCE) * LANES + lane]
+        B[block.STAGE_IN * LANES + lane] = B[(block.HEAD_ROWS + block.SOURCE) * LANES + lane]
+        back = (block.HEAD_ROWS + J[block.BACK_NODE + lane] * block.NODE_ROWS) * LANES
+        B[block.STAGE_OUT * LANES + lane] = -B[back + block.SOURCE * LANES + lane]
+        if J[block.GAPS] == 1:
+            for i in range(1, J[block.BACK_NODE + lane]):
+                a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
+                B[block.STAGE_IN * LANES + lane] += B[a + block.SOURCE * LANES + lane]
     for i in range(n):
-        for row in (E_STAR, STAGE_LEFT, STAGE_RIGHT):  # contents that are no numbers, of a failed step, would stay so
+        # Contents that are no numbers, of a failed step, would stay so.
+        for row in (block.E_STAR, block.STAGE_LEFT, block.STAGE_RIGHT):
             for lane in range(LANES):
-                B[(HEAD_ROWS + i * NODE_ROWS + row) * LANES + lane] = 0.0
+                B[(block.HEAD_ROWS + i * block.NODE_ROWS + row) * LANES + lane] = 0.0
     for ddt in range(2):  # with E* = 0 the residual is the heat content in no time, less the net heat in a second
         assemble(B, J, table, float(ddt), WHOLE_ROWS)
         for i in range(n):
-            a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+            a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
             for lane in range(LANES):
-                residual = B[a + RESIDUAL * LANES + lane]
+                residual = B[a + block.RESIDUAL * LANES + lane]
                 if ddt == 0:
-                    B[a + E_START * LANES + lane] = residual
+                    B[a + block.E_START * LANES + lane] = residual
                 else:
-                    B[a + NET * LANES + lane] = B[a + E_START * LANES + lane] - residual
+                    B[a + block.NET * LANES + lane] = B[a + block.E_START * LANES + lane] - residual
 
 
 @inline_always
@@ -190,8 +147,8 @@ def _write_extrapolation_times(B: FloatArray, dt: float) -> None:
     0 where there was no step. Lanes may have divided their last frame differently: each has a last step of its own.
     """
     for lane in range(LANES):
-        time = min(dt, MAX_EXTRAPOLATION * B[LAST_STEP * LANES + lane])
-        B[(SCALAR_ROWS + BEND2) * LANES + lane] = time * time
+        time = min(dt, MAX_EXTRAPOLATION * B[block.LAST_STEP * LANES + lane])
+        B[(block.SCALAR_ROWS + block.BEND2) * LANES + lane] = time * time
 
 
 @inline_always
@@ -203,17 +160,19 @@ def _begin_first_stage(B: FloatArray, n: int, dt: float) -> None:
     ahead = GAMMA * dt
     _write_extrapolation_times(B, dt)
     for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        previous = a - NODE_ROWS * LANES
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
+        previous = a - block.NODE_ROWS * LANES
         for lane in range(LANES):
-            content, net = B[a + E_START * LANES + lane], B[a + NET * LANES + lane]
-            B[a + E_STAR * LANES + lane] = content + STAGE_WEIGHT * dt * net
-            temperature = B[a + T * LANES + lane]
-            B[a + T_START * LANES + lane] = temperature
-            bend = B[previous + BEND2 * LANES + lane]
-            B[a + BEND2 * LANES + lane] = bend
-            change = ahead * B[a + RATE * LANES + lane] + (GAMMA * GAMMA * bend) * B[a + CURVE * LANES + lane]
-            B[a + T * LANES + lane] = temperature + change
+            content, net = B[a + block.E_START * LANES + lane], B[a + block.NET * LANES + lane]
+            B[a + block.E_STAR * LANES + lane] = content + STAGE_WEIGHT * dt * net
+            temperature = B[a + block.T * LANES + lane]
+            B[a + block.T_START * LANES + lane] = temperature
+            bend = B[previous + block.BEND2 * LANES + lane]
+            B[a + block.BEND2 * LANES + lane] = bend
+            change = (
+                ahead * B[a + block.RATE * LANES + lane] + (GAMMA * GAMMA * bend) * B[a + block.CURVE * LANES + lane]
+            )
+            B[a + block.T * LANES + lane] = temperature + change
 
 
 @force_inline
@@ -224,16 +183,16 @@ def close_node(B: FloatArray, a: int, lane: int, dt: float) -> None:
 
     Source: docs/theory/equations_thermal_step.md, equations 22 and 23.
     """
-    content = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT)
-    B[a + NET * LANES + lane] = (content - B[a + E_STAR * LANES + lane]) * (1.0 / (STAGE_WEIGHT * dt))
-    B[a + E_START * LANES + lane] = content
-    middle = B[a + T_STAGE * LANES + lane]
-    before = (middle - B[a + T_START * LANES + lane]) * (1.0 / (GAMMA * dt))
-    after = (B[a + T * LANES + lane] - middle) * (1.0 / ((1.0 - GAMMA) * dt))
+    content = heat_content(B, a + lane, block.STAGE_LEFT, block.STAGE_RIGHT)
+    B[a + block.NET * LANES + lane] = (content - B[a + block.E_STAR * LANES + lane]) * (1.0 / (STAGE_WEIGHT * dt))
+    B[a + block.E_START * LANES + lane] = content
+    middle = B[a + block.T_STAGE * LANES + lane]
+    before = (middle - B[a + block.T_START * LANES + lane]) * (1.0 / (GAMMA * dt))
+    after = (B[a + block.T * LANES + lane] - middle) * (1.0 / ((1.0 - GAMMA) * dt))
     # Second divided difference of the three points: half the second derivative.
     curve = (after - before) * (1.0 / dt)
-    B[a + CURVE * LANES + lane] = curve
-    B[a + RATE * LANES + lane] = after + curve * ((1.0 - GAMMA) * dt)
+    B[a + block.CURVE * LANES + lane] = curve
+    B[a + block.RATE * LANES + lane] = after + curve * ((1.0 - GAMMA) * dt)
 
 
 @inline_always
@@ -245,10 +204,10 @@ def close_step(B: FloatArray, n: int, dt: float) -> None:
     Source: docs/theory/equations_thermal_step.md, equations 22 and 23.
     """
     for lane in range(LANES):
-        B[LAST_STEP * LANES + lane] = dt
-        B[STEPS * LANES + lane] += 1.0
+        B[block.LAST_STEP * LANES + lane] = dt
+        B[block.STEPS * LANES + lane] += 1.0
     for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
         for lane in range(LANES):
             close_node(B, a, lane, dt)
 
@@ -264,23 +223,26 @@ def substitute_back(B: FloatArray, n: int) -> None:
     Source: docs/theory/equations_thermal_step.md, equations 29 and 30.
     """
     for i in range(n - 1, -1, -1):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        right = a + NODE_ROWS * LANES
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
+        right = a + block.NODE_ROWS * LANES
         for lane in range(LANES):
-            delta = B[a + DELTA * LANES + lane] - B[a + UPPER * LANES + lane] * B[right + DELTA * LANES + lane]
-            B[a + DELTA * LANES + lane] = delta
-            moves = B[right + MOVES * LANES + lane]
+            delta = (
+                B[a + block.DELTA * LANES + lane]
+                - B[a + block.UPPER * LANES + lane] * B[right + block.DELTA * LANES + lane]
+            )
+            B[a + block.DELTA * LANES + lane] = delta
+            moves = B[right + block.MOVES * LANES + lane]
             stays = 1.0 - moves
-            B[a + MOVES * LANES + lane] = moves
-            after = B[a + T * LANES + lane] + moves * delta
-            B[a + T * LANES + lane] = after if after > COLDEST_K else COLDEST_K
-            after = B[a + E_LEFT * LANES + lane] + B[a + C_LEFT * LANES + lane] * delta
-            B[a + STAGE_LEFT * LANES + lane] = moves * after + stays * B[a + STAGE_LEFT * LANES + lane]
-            after = B[a + E_RIGHT * LANES + lane] + B[a + C_RIGHT * LANES + lane] * delta
-            B[a + STAGE_RIGHT * LANES + lane] = moves * after + stays * B[a + STAGE_RIGHT * LANES + lane]
+            B[a + block.MOVES * LANES + lane] = moves
+            after = B[a + block.T * LANES + lane] + moves * delta
+            B[a + block.T * LANES + lane] = after if after > COLDEST_K else COLDEST_K
+            after = B[a + block.E_LEFT * LANES + lane] + B[a + block.C_LEFT * LANES + lane] * delta
+            B[a + block.STAGE_LEFT * LANES + lane] = moves * after + stays * B[a + block.STAGE_LEFT * LANES + lane]
+            after = B[a + block.E_RIGHT * LANES + lane] + B[a + block.C_RIGHT * LANES + lane] * delta
+            B[a + block.STAGE_RIGHT * LANES + lane] = moves * after + stays * B[a + block.STAGE_RIGHT * LANES + lane]
             # `size <= largest` is false for NaN, and a NaN makes every update before it NaN: node 0 reports it.
-            largest, size = B[right + LARGEST * LANES + lane], abs(delta)
-            B[a + LARGEST * LANES + lane] = largest if size <= largest else size
+            largest, size = B[right + block.LARGEST * LANES + lane], abs(delta)
+            B[a + block.LARGEST * LANES + lane] = largest if size <= largest else size
 
 
 @inline_always
@@ -290,12 +252,13 @@ def _end_in_next_piece(B: FloatArray, n: int) -> None:
     Heat content grows with temperature, so that the solution is beyond that end, if not within the piece.
     """
     for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
         for lane in range(LANES):
-            if B[ACTIVE * LANES + lane] > 0.0:
-                t, low, high = B[a + T * LANES + lane], B[a + LOW * LANES + lane], B[a + HIGH * LANES + lane]
+            if B[block.ACTIVE * LANES + lane] > 0.0:
+                t = B[a + block.T * LANES + lane]
+                low, high = B[a + block.LOW * LANES + lane], B[a + block.HIGH * LANES + lane]
                 t = low * BELOW if t < low else t
-                B[a + T * LANES + lane] = high if t > high else t
+                B[a + block.T * LANES + lane] = high if t > high else t
 
 
 @inline_always
@@ -306,10 +269,10 @@ def _stop_converged_lanes(B: FloatArray) -> int:
     """
     iterating = 0
     for lane in range(LANES):
-        if B[ACTIVE * LANES + lane] > 0.0:
-            B[ITERATIONS * LANES + lane] += 1.0
-            if B[(HEAD_ROWS + LARGEST) * LANES + lane] < NEWTON_TOLERANCE_K:
-                B[ACTIVE * LANES + lane] = 0.0
+        if B[block.ACTIVE * LANES + lane] > 0.0:
+            B[block.ITERATIONS * LANES + lane] += 1.0
+            if B[(block.HEAD_ROWS + block.LARGEST) * LANES + lane] < NEWTON_TOLERANCE_K:
+                B[block.ACTIVE * LANES + lane] = 0.0
             else:
                 iterating += 1
     return iterating
@@ -318,18 +281,18 @@ def _stop_converged_lanes(B: FloatArray) -> int:
 @njit
 def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, dt: float) -> None:
     """Newton iteration for E(Y) - E* - d dt F(Y) = 0 from the present temperatures (equations 25 to 30)."""
-    n = J[N_NODES]
-    behind = (HEAD_ROWS + n * NODE_ROWS) * LANES
+    n = J[block.N_NODES]
+    behind = (block.HEAD_ROWS + n * block.NODE_ROWS) * LANES
     select_pressure(B, J, stage)
     for lane in range(LANES):
-        B[ACTIVE * LANES + lane] = B[STEPPING * LANES + lane]
+        B[block.ACTIVE * LANES + lane] = B[block.STEPPING * LANES + lane]
     for iteration in range(NEWTON_LIMIT):
-        evaluate_faces(B, J, table, dispatcher, stage, stage == END and iteration == 0)
+        evaluate_faces(B, J, table, dispatcher, stage, stage == block.END and iteration == 0)
         assemble(B, J, table, STAGE_WEIGHT * dt, REDUCED)
         for lane in range(LANES):
             # Passed from node to node through the rows, from the ghost behind: constant distances, no alias checks.
-            B[behind + MOVES * LANES + lane] = B[ACTIVE * LANES + lane]
-            B[behind + LARGEST * LANES + lane] = 0.0
+            B[behind + block.MOVES * LANES + lane] = B[block.ACTIVE * LANES + lane]
+            B[behind + block.LARGEST * LANES + lane] = 0.0
         substitute_back(B, n)
         if iteration >= FREE_ITERATIONS:
             _end_in_next_piece(B, n)
@@ -337,7 +300,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stag
         if _stop_converged_lanes(B) == 0:
             return
     for lane in range(LANES):
-        B[FAILED * LANES + lane] += B[ACTIVE * LANES + lane]
+        B[block.FAILED * LANES + lane] += B[block.ACTIVE * LANES + lane]
 
 
 @inline_always
@@ -348,27 +311,27 @@ def _begin_second_stage(B: FloatArray, n: int, dt: float) -> None:
     """
     _write_extrapolation_times(B, dt)
     for i in range(n):
-        a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        previous = a - NODE_ROWS * LANES
+        a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
+        previous = a - block.NODE_ROWS * LANES
         for lane in range(LANES):
-            start = B[a + E_START * LANES + lane]
-            content = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT)
-            B[a + E_STAR * LANES + lane] = start + BDF_WEIGHT * (content - start)
-            cold, warm = B[a + T_START * LANES + lane], B[a + T * LANES + lane]
-            B[a + T_STAGE * LANES + lane] = warm
-            bend = B[previous + BEND2 * LANES + lane]
-            B[a + BEND2 * LANES + lane] = bend
-            curved = (1.0 - GAMMA) * bend * B[a + CURVE * LANES + lane]
-            B[a + T * LANES + lane] = cold + (warm - cold) * (1.0 / GAMMA) + curved
+            start = B[a + block.E_START * LANES + lane]
+            content = heat_content(B, a + lane, block.STAGE_LEFT, block.STAGE_RIGHT)
+            B[a + block.E_STAR * LANES + lane] = start + BDF_WEIGHT * (content - start)
+            cold, warm = B[a + block.T_START * LANES + lane], B[a + block.T * LANES + lane]
+            B[a + block.T_STAGE * LANES + lane] = warm
+            bend = B[previous + block.BEND2 * LANES + lane]
+            B[a + block.BEND2 * LANES + lane] = bend
+            curved = (1.0 - GAMMA) * bend * B[a + block.CURVE * LANES + lane]
+            B[a + block.T * LANES + lane] = cold + (warm - cold) * (1.0 / GAMMA) + curved
 
 
 @inline_always
 def _note_start(B: FloatArray) -> None:
     """Note what a lane returns to if its step is repeated, beyond the rows of its nodes, which a step leaves."""
     for k in range(4 * LANES):
-        B[BEFORE_FACES * LANES + k] = B[STAGE_IN * LANES + k]
+        B[block.BEFORE_FACES * LANES + k] = B[block.STAGE_IN * LANES + k]
     for lane in range(LANES):
-        B[BEFORE_FAILED * LANES + lane] = B[FAILED * LANES + lane]
+        B[block.BEFORE_FAILED * LANES + lane] = B[block.FAILED * LANES + lane]
 
 
 @njit
@@ -390,7 +353,7 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -
     evaluate them again. A lane that does not converge in NEWTON_LIMIT iterations is counted in FAILED; nothing is
     raised. Source: Hosea and Shampine (1996); docs/theory/equations_thermal_step.md, equations 19 to 24.
     """
-    n = J[N_NODES]
+    n = J[block.N_NODES]
     _note_start(B)
     # The start's share in the energies (equation 21): STAGE_IN and STAGE_OUT still hold the end of the last step.
     _add_energy(B, EXPLICIT_WEIGHT * dt)

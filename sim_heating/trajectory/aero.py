@@ -26,18 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from sim_heating.base import files
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import (
-    Convertible,
-    CsvTable,
-    FileOfFolder,
-    Location,
-    display_path,
-    raise_problems,
-    read_csv_columns,
-    read_toml,
-)
+from sim_heating.base.files import Convertible, CsvTable, FileOfFolder, Location, display_path
 from sim_heating.base.kernels.axis import cell_of
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.limits import QUANTITIES
@@ -381,7 +373,7 @@ def load_aero(vehicle_dir: Path) -> Aero:
     raises : InputError where a file is missing, a value cannot be used or a table has a hole
     """
     folder = Path(vehicle_dir) / "aero"
-    file = read_toml(folder / "aero.toml", AeroFile)
+    file = files.read_toml(folder / "aero.toml", AeroFile)
     aero = Aero(
         file=file,
         basic=_read_grid(folder / file.tables.longitudinal, deflected=False),
@@ -390,7 +382,7 @@ def load_aero(vehicle_dir: Path) -> Aero:
         mass_kg=file.mass.mass_kg,
         cg_fraction=file.mass.cg_fraction,
     )
-    raise_problems([*_force_problems(aero, folder / file.tables.longitudinal), *_mass_problems(aero, folder)])
+    files.raise_problems([*_force_problems(aero, folder / file.tables.longitudinal), *_mass_problems(aero, folder)])
     return aero
 
 
@@ -483,14 +475,14 @@ def _read_control(folder: Path, name: str | None) -> Grid:
 
 def _read_grid(path: Path, *, deflected: bool) -> Grid:
     axes = ("mach", "alpha_deg", "deflection_deg") if deflected else ("mach", "alpha_deg")
-    table = read_csv_columns(path, (*axes, *COEFFICIENTS), keep_other=False)
+    table = files.read_csv_columns(path, (*axes, *COEFFICIENTS), keep_other=False)
     points = [*(table[a] for a in axes), np.zeros(len(table))][:3]
     mach, alpha, deflection = (np.unique(p) for p in points)
     values = np.full((mach.size, alpha.size, deflection.size, 3), np.nan)
     where = tuple(np.searchsorted(axis, p) for axis, p in zip((mach, alpha, deflection), points, strict=True))
     ranges = {"mach": QUANTITIES["mach_of_table"]} | {a: QUANTITIES[a] for a in axes[1:]}
     ranges |= dict.fromkeys(COEFFICIENTS, QUANTITIES["coefficient"])
-    raise_problems([line for name, limits in ranges.items() for line in range_problems(table, name, limits)])
+    files.raise_problems([line for name, limits in ranges.items() for line in range_problems(table, name, limits)])
     # Of a repeated point the last row would silently be taken.
     _check_repeated_points(table, where, values.shape[:3])
     values[where] = np.stack([table[c] for c in COEFFICIENTS], axis=-1)

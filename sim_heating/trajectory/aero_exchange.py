@@ -19,16 +19,8 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import csv_text, display_path, raise_problems, write_text_atomic
-from sim_heating.heating.exchange.dave_ml import (
-    CheckCase,
-    DaveModel,
-    Function,
-    GriddedTable,
-    Signal,
-    Variable,
-    read_dave_ml,
-    write_dave_ml,
-)
+from sim_heating.heating.exchange import dave_ml
+from sim_heating.heating.exchange.dave_ml import CheckCase, DaveModel, Signal, Variable
 from sim_heating.heating.exchange.ratio_formats import TOLERANCE
 from sim_heating.trajectory.aero import COEFFICIENTS, Aero, Grid
 
@@ -59,10 +51,8 @@ def aero_model(aero: Aero) -> DaveModel:
             variables[key] = Variable(key, {"name": key, "units": "nd"})
             axes = (grid.mach, grid.alpha_deg, grid.deflection_deg)[: len(inputs)]
             values = grid.values[..., c].reshape([len(a) for a in axes])
-            extrapolation = (("neither",) * len(inputs), tuple((float(a[0]), float(a[-1])) for a in axes))
-            functions.append(
-                Function(key, inputs, key, GriddedTable(key, (), axes, values), extrapolation[1], extrapolation[0])
-            )
+            ends, table = tuple((float(a[0]), float(a[-1])) for a in axes), dave_ml.GriddedTable(key, (), axes, values)
+            functions.append(dave_ml.Function(key, inputs, key, table, ends, ("neither",) * len(inputs)))
         sum_ = ("plus", *terms)
         variables[coefficient] = Variable(coefficient, {"name": coefficient, "units": "nd"}, ("isOutput",), "", sum_)
     about = f"source: {aero.file.source}\nconfidence: {aero.file.confidence}"
@@ -90,7 +80,7 @@ def _cases(model: DaveModel, aero: Aero) -> tuple[CheckCase, ...]:
 
 def export_aero(aero: Aero, out: str | os.PathLike[str]) -> None:
     """Write the tables of a vehicle, coefficients [-] over Mach [-] and angles [deg], as a model of DAVE-ML."""
-    write_dave_ml(out, aero_model(aero))
+    dave_ml.write_dave_ml(out, aero_model(aero))
 
 
 def _outputs_of_vehicle(model: DaveModel, where: str) -> dict[str, str]:
@@ -132,7 +122,7 @@ def import_aero(path: str | os.PathLike[str], folder: str | os.PathLike[str]) ->
     returns : the files
     raises  : InputError where an output is missing, an input is unknown, or check data are missed
     """
-    model, where = read_dave_ml(path), display_path(path)
+    model, where = dave_ml.read_dave_ml(path), display_path(path)
     raise_problems([f"{where}: {p}" for p in model.check_problems()])
     outputs = _outputs_of_vehicle(model, where)
     inputs = _inputs_of_vehicle(model, where)

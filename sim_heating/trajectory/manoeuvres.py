@@ -14,17 +14,9 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.jit import njit
+from sim_heating.trajectory import spec
 from sim_heating.trajectory.flight import Window
-from sim_heating.trajectory.spec import (
-    BodyflapPulse,
-    BodyflapSweep,
-    ElevonPulse,
-    ElevonSweep,
-    JetFiring,
-    Manoeuvre,
-    Popu,
-    SideslipDoublet,
-)
+from sim_heating.trajectory.spec import Manoeuvre
 
 Polygon = list[tuple[float, float]]
 
@@ -71,13 +63,13 @@ def polygon_through(values: Iterable[tuple[float, float]], rate: float) -> Polyg
     return points
 
 
-def _popu(m: Popu) -> Polygon:
+def _popu(m: spec.Popu) -> Polygon:
     down = (-m.down_deg, m.hold_s if m.hold_down_s is None else m.hold_down_s)
     up = (m.up_deg, m.hold_s if m.hold_up_s is None else m.hold_up_s)
     return polygon_through([down, up] if m.first == "down" else [up, down], m.rate_deg_s)
 
 
-def _pulses(m: ElevonPulse | BodyflapPulse) -> Polygon:
+def _pulses(m: spec.ElevonPulse | spec.BodyflapPulse) -> Polygon:
     # The pause after the last pulse is dropped below: it would only delay the next manoeuvre on the channel.
     signs = [(-1.0) ** i if m.alternate else 1.0 for i in range(m.count)]
     return polygon_through(
@@ -85,15 +77,15 @@ def _pulses(m: ElevonPulse | BodyflapPulse) -> Polygon:
     )
 
 
-def _sweep(m: ElevonSweep | BodyflapSweep) -> Polygon:
+def _sweep(m: spec.ElevonSweep | spec.BodyflapSweep) -> Polygon:
     return polygon_through([(m.from_deg, 0.0), (m.to_deg, m.hold_s)], m.rate_deg_s)
 
 
-def _doublet(m: SideslipDoublet) -> Polygon:
+def _doublet(m: spec.SideslipDoublet) -> Polygon:
     return polygon_through([(m.amplitude_deg, m.hold_s), (-m.amplitude_deg, m.hold_s)], m.rate_deg_s)
 
 
-def _firing(m: JetFiring) -> Polygon:
+def _firing(m: spec.JetFiring) -> Polygon:
     return polygon_through(
         [v for _ in range(m.count) for v in ((m.level, m.on_s), (0.0, m.off_s))][:-1], m.level / m.rise_s
     )

@@ -12,17 +12,8 @@ from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    Discriminator,
-    Field,
-    Tag,
-    ValidationInfo,
-    create_model,
-    field_validator,
-    model_validator,
-)
+import pydantic
+from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.files import Convertible, Location
 from sim_heating.base.limits import QUANTITIES, SLOWEST_M_S, low_and_fast, usual_remark
@@ -272,7 +263,7 @@ def _with_optional_fields(model: type[BaseModel]) -> Any:
     for name, field in model.model_fields.items():
         kind: Any = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
         fields[name] = (kind | None, None)
-    return create_model(f"Optional{model.__name__}", __base__=Convertible, __doc__=model.__doc__, **fields)
+    return pydantic.create_model(f"Optional{model.__name__}", __base__=Convertible, __doc__=model.__doc__, **fields)
 
 
 _OptionalGuidance: Any = _with_optional_fields(Guidance)
@@ -524,7 +515,7 @@ class FmuSource(Convertible):
 
     @field_validator("start", "inputs", mode="before")
     @classmethod
-    def _check_dotted_names(cls, tables: Any, info: ValidationInfo) -> Any:
+    def _check_dotted_names(cls, tables: Any, info: pydantic.ValidationInfo) -> Any:
         """Rejects a name with dots and without quotes, which TOML reads as a table."""
         keys = (FmuValue if info.field_name == "start" else FmuInput).model_fields
         for name, table in tables.items() if isinstance(tables, dict) else ():

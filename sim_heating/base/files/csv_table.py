@@ -140,7 +140,7 @@ def read_csv_columns(
     raise_problems(_ragged_rows(file, rows, lines, len(names)))
     raise_problems(_units_problems(file, rows, lines, bool(lost)))
     cells = dict(zip(names, zip(*rows, strict=True), strict=True))
-    selected = [n for n in names if keep_other or n in {*required, *optional}]
+    selected = _selected(names, required, optional, keep_other)
     columns: dict[str, FloatArray] = {}
     problems: list[str] = []
     for name in selected:
@@ -148,6 +148,11 @@ def read_csv_columns(
         problems += [f"{file}, row {lines[i]}, column {_in_file(name, heads)}: {problem}" for i, problem in bad]
     raise_problems(problems)
     return CsvTable(columns, header, path, np.array(lines, dtype=np.int64), heads)
+
+
+def _selected(names: Sequence[str], required: Sequence[str], optional: Sequence[str], keep_other: bool) -> list[str]:
+    """Columns of a file that are read."""
+    return [n for n in names if keep_other or n in {*required, *optional}]
 
 
 def _large_table(
@@ -158,28 +163,36 @@ def _large_table(
     above, head, body = _head(content)
     names = [name.strip() for name in head.split(",")]
     rows = body.count("\n") + (not body.endswith("\n"))
-    is_named = all(names) and not _name_problems("", names, required, optional, lost)
-    if '"' in content or not is_named or not _has_plain_numbers(body, rows * (len(names) - 1)):
+    if '"' in content or _name_problems("", names, required, optional, lost):
         return None
-    kept = [n for n in names if keep_other or n in {*required, *optional}]
-    values = _all_values(body, [names.index(n) for n in kept], bool(lost))
-    if values is None or len(values) != rows:
+    if not _has_plain_numbers(body, rows * (len(names) - 1)):
         return None
-    columns = {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(kept)}
-    if not all(np.all(np.isfinite(v) | (np.isnan(v) if n in lost else False)) for n, v in columns.items()):
+    selected = _selected(names, required, optional, keep_other)
+    values = _all_values(body, rows, list(map(names.index, selected)), bool(lost))
+    if values is None:
+        return None
+    columns = {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(selected)}
+    if not all(_is_usable(v, n in lost) for n, v in columns.items()):
         return None
     first = above.count("\n") + 2
     return CsvTable(columns, _header(above.splitlines()), path, np.arange(first, first + rows, dtype=np.int64))
 
 
-def _all_values(body: str, used: Sequence[int], may_be_empty: bool) -> FloatArray | None:
-    """(row, column) numbers of the columns used; NaN for an empty cell. None where a cell is no number."""
+def _is_usable(values: FloatArray, may_be_empty: bool) -> bool:
+    """Whether all numbers of a column are finite, or NaN where cells may be empty."""
+    usable = np.isfinite(values)
+    return bool(np.all(usable | np.isnan(values) if may_be_empty else usable))
+
+
+def _all_values(body: str, rows: int, used: Sequence[int], may_be_empty: bool) -> FloatArray | None:
+    """(row, column) numbers of the columns used; NaN for an empty cell. None where a cell or a row holds none."""
     if "," in body and may_be_empty:
         body = re.sub(r",(?=[ ]*(?:,|\n|$))", ",nan", re.sub(r"(?m)^(?=[ ]*,)", "nan", body))
     try:
-        return np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, usecols=used)
+        values = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, usecols=used)
     except ValueError:
         return None
+    return values if len(values) == rows else None
 
 
 def _header(lines: Iterable[str]) -> dict[str, str]:
@@ -200,16 +213,25 @@ def _head(content: str) -> tuple[str, str, str]:
     while True:
         end = content.find("\n", start)
         line = content[start : end if end >= 0 else len(content)]
-        if end < 0 or (line.strip() and not line.startswith("#")):
+        if end < 0 or _is_of_names(line):
             return content[:start], line, content[end + 1 :].rstrip() if end >= 0 else ""
         start = end + 1
+
+
+def _is_of_names(line: str) -> bool:
+    """Whether a line may be that of the names: neither blank nor a comment."""
+    return bool(line.strip()) and not line.startswith("#")
+
+
+def names_line(lines: Sequence[str]) -> int | None:
+    """Index of the line of the names; None where all are blank or comments."""
+    return next((i for i, line in enumerate(lines) if _is_of_names(line)), None)
 
 
 def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int], dict[str, str]]:
     """Names, rows of cells, the line of each row, and the `# key: value` header."""
     content = text.replace("\r\n", "\n").replace("\r", "\n").rstrip().split("\n")
-    first = next((i for i, line in enumerate(content) if line.strip() and not line.startswith("#")), None)
-    if first is None:
+    if (first := names_line(content)) is None:
         raise InputError(f"{display_path(path)}: the row of column names is missing; the file holds comments only")
     reader = csv.reader(content[first:])
     try:
@@ -347,15 +369,15 @@ def csv_text(
     """
     arrays = {name: np.asarray(v) for name, v in columns.items()}
     texts = [_cell_texts(name, v, formats) for name, v in arrays.items()]
-    if len({len(c) for c in texts}) > 1:
+    if len(set(map(len, texts))) > 1:
         raise RunError(f"columns {', '.join(columns)} differ in length")
     stream = io.StringIO()
     stream.writelines(f"# {key}: {' '.join(str(value).split())}\n" for key, value in (header or {}).items())
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
     rows = zip(*texts, strict=True)
-    if all(v.dtype.kind in NUMBERS for v in arrays.values()) and len(arrays) > 1:
-        # no cell to quote; an empty one that is alone in its row would be
+    # no cell to quote; an empty one that is alone in its row would be
+    if {v.dtype.kind for v in arrays.values()} <= set(NUMBERS) and len(arrays) > 1:
         stream.writelines(f"{','.join(row)}\n" for row in rows)
     else:
         writer.writerows(rows)

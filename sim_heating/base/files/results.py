@@ -328,18 +328,28 @@ def write_own_files(directory: str | os.PathLike[str], command: str, texts: Mapp
         listing = _read_marker(target)
         listed = {} if listing is None else listing[1]
         new = {name: text for name, text in texts.items() if not has_digest(target / name, text_digest(text))}
-        foreign = [n for n in new if os.path.lexists(target / n) and not has_digest(target / n, listed.get(n, ""))]
-        if foreign and (not replaces_others() or any((target / name).is_dir() for name in foreign)):
+        foreign = _changed(target, new, listed)
+        if foreign and not _may_replace(target, foreign):
             raise InputError(
                 f"{display_path(target)}: {', '.join(foreign)} was not written by `{command}`, or was changed since, "
                 f"and is not replaced; move it away{OR_FORCE}"
             )
-        digests = {**listed, **{name: text_digest(text) for name, text in texts.items()}}
+        digests = listed | {name: text_digest(text) for name, text in texts.items()}
         marker = json_text({"format": MARKER_FORMAT, "command": command, "files": digests})
         if new or listing is None or digests != listed:
             transaction.replace_files(target, {**new, MARKER: marker})
         if foreign:
             _warn_of_replaced(target, foreign, command)
+
+
+def _changed(target: Path, names: Iterable[str], digests: Mapping[str, str]) -> list[str]:
+    """Files of these names that are there, and not as their digests have them, or that have none."""
+    return [n for n in names if os.path.lexists(target / n) and not has_digest(target / n, digests.get(n, ""))]
+
+
+def _may_replace(target: Path, names: Iterable[str]) -> bool:
+    """Whether files that others wrote or changed may be replaced: by --force, and none of them is a folder."""
+    return replaces_others() and not any((target / name).is_dir() for name in names)
 
 
 def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dict[str, str]:
@@ -351,21 +361,26 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
     names = set(names)
     listing = _read_marker(target)
     earlier, files = listing if listing is not None else (command, {})
+    _require_results_of(command, target, earlier)
+    there = [name for name in sorted({*files, *names} - {MARKER}) if os.path.lexists(target / name)]
+    for name in {*files, *names}:
+        transaction.require_plain(target, name)
+    marker = {} if listing is None else {MARKER: file_digest(target / MARKER)}
+    if _may_replace(target, there):
+        # a listed result that was changed, and is not written again, is a person's file
+        kept = {*_changed(target, there, files)} - names
+        return marker | {name: file_digest(target / name) for name in there if name not in kept}
+    _require_own(target, there, files)
+    return marker | {name: files[name] for name in there}
+
+
+def _require_results_of(command: str, target: Path, earlier: str) -> None:
+    """raises : InputError where the results in a directory are another command's, and may not be replaced"""
     if earlier != command and not replaces_others():
         raise InputError(
             f"{display_path(target)}: holds results of `{earlier}`, which `{command}` does not replace; choose another "
             f"directory{OR_FORCE}"
         )
-    there = [name for name in sorted({*files, *names} - {MARKER}) if os.path.lexists(target / name)]
-    for name in {*files, *names}:
-        transaction.require_plain(target, name)
-    marker = [] if listing is None else [MARKER]
-    if replaces_others() and not any((target / name).is_dir() for name in there):
-        # a listed result that was changed, and is not written again, is a person's file
-        gone = [n for n in there if n in names or has_digest(target / n, files[n])]
-        return {name: file_digest(target / name) for name in (*marker, *gone)}
-    _require_own(target, there, files)
-    return {name: file_digest(target / name) for name in marker} | {name: files[name] for name in there}
 
 
 def _require_own(target: Path, there: Sequence[str], files: Mapping[str, str]) -> None:
@@ -381,8 +396,7 @@ def _require_own(target: Path, there: Sequence[str], files: Mapping[str, str]) -
             f"{display_path(target)}: {', '.join(foreign)} already exists and was not written by sim-heating; choose "
             f"another directory{OR_FORCE}"
         )
-    changed = [n for n in there if not has_digest(target / n, files[n])]
-    if changed:
+    if changed := _changed(target, there, files):
         raise InputError(
             f"{display_path(target)}: {', '.join(changed)} was changed after sim-heating wrote it and is not replaced; "
             f"move it away or choose another directory{OR_FORCE}"
@@ -393,7 +407,7 @@ def _others(target: Path, command: str, replaced: Iterable[str]) -> list[str]:
     """Files that are replaced although another command or a person wrote or changed them."""
     marker = _read_marker(target)
     listed = marker[1] if marker is not None and marker[0] == command else {}
-    return [n for n in sorted(set(replaced) - {MARKER}) if not has_digest(target / n, listed.get(n, ""))]
+    return _changed(target, sorted(set(replaced) - {MARKER}), listed)
 
 
 def _refuse_inputs(target: Path, inputs: Iterable[str | os.PathLike[str] | None]) -> None:
@@ -402,16 +416,8 @@ def _refuse_inputs(target: Path, inputs: Iterable[str | os.PathLike[str] | None]
         if source is None or not os.path.exists(source):
             continue
         path = real_path(source)
-        relation = (
-            "is"
-            if path == target
-            else "contains"
-            if target in path.parents
-            else "lies in"
-            if path in target.parents
-            else None
-        )
-        if relation is not None:
+        relations = {"is": path == target, "contains": target in path.parents, "lies in": path in target.parents}
+        if (relation := next((words for words, holds in relations.items() if holds), None)) is not None:
             raise InputError(
                 f"{display_path(target)}: {relation} the input {display_path(path)}, which results might replace; "
                 "choose another directory for them"

@@ -73,20 +73,27 @@ def documented(js: dict[str, Any], model: type[BaseModel], quantities: Mapping[s
         js["description"] = " ".join(model.__doc__.split("\n\n")[0].split())
     for name, value in js.get("properties", {}).items():
         value.pop("title", None)
-        declared = quantities.get(name, name)
-        is_name = isinstance(declared, str) and (declared == name or declared not in model.model_fields)
-        of_name = quantity(declared) if is_name else None
+        of_name = _quantity_of(name, model, quantities)
         if of_name is not None:
             _set_range(value, of_name)
         stated = model.model_fields[name].description if name in model.model_fields else None
-        text = stated or written.get(name) or (None if _is_table(value) else _usual_text(name, of_name))
+        text = stated or written.get(name) or _usual_text(name, value, of_name)
         if text is not None:
             value["description"] = text
     return js
 
 
-def _usual_text(name: str, measured: Quantity | None) -> str | None:
-    """Description of a key by its name, or by its quantity."""
+def _quantity_of(name: str, model: type[BaseModel], quantities: Mapping[str, Any]) -> Quantity | None:
+    """The quantity of a field; None where another field states it, or each column has its own."""
+    declared = quantities.get(name, name)
+    is_name = isinstance(declared, str) and (declared == name or declared not in model.model_fields)
+    return quantity(declared) if is_name else None
+
+
+def _usual_text(name: str, js: Mapping[str, Any], measured: Quantity | None) -> str | None:
+    """Description of a key by its name, or by its quantity; a table has its own."""
+    if _is_table(js):
+        return None
     return DESCRIPTIONS.get(name) or (COMMON.get(name) if measured is None else noun(measured))
 
 

@@ -13,6 +13,8 @@ import tomllib
 import types
 import typing
 from collections.abc import Callable, Container, Mapping, Sequence
+from functools import partial, reduce
+from itertools import chain
 from typing import Any, ClassVar, Self, TypeVar
 
 import tomlkit
@@ -142,12 +144,24 @@ def _judged_numbers(
         return []
     if isinstance(declared, str):
         return judge(_meant(model, declared), value)
+    return _judged_rows(value, [None if c is None else partial(judge, _meant(model, c)) for c in declared])
+
+
+def _judged_rows(
+    rows: Any, judges: Sequence[Callable[[Any], list[tuple[Location, str]]] | None]
+) -> list[tuple[Location, str]]:
+    """Lines about the numbers of rows, each with its row and column; none of a value that is no list.
+
+    judges : lines about a number of each column; None for one that holds none
+    """
+    if not isinstance(rows, (list, tuple)):
+        return []
     return [
         ((i, j), text)
-        for i, row in enumerate(value if isinstance(value, (list, tuple)) else ())
-        for j, (column, number) in enumerate(zip(declared, row, strict=False))
-        if column is not None
-        for _, text in judge(_meant(model, column), number)
+        for i, row in enumerate(rows)
+        for j, (judge, number) in enumerate(zip(judges, row, strict=False))
+        if judge is not None
+        for _, text in judge(number)
     ]
 
 
@@ -355,17 +369,13 @@ def _data_location(loc: Location, data: Any, keep_last: bool = False) -> Locatio
     kept: list[str | int] = []
     for i, key in enumerate(loc):
         is_last = keep_last and i == len(loc) - 1
-        if isinstance(data, dict) and (key in data or is_last):
+        if _has_child(data, key) or (is_last and isinstance(data, dict)):
             kept.append(key)
-            data = data.get(key)
-        elif isinstance(data, (list, tuple)) and isinstance(key, int) and key < len(data):
-            kept.append(key)
-            data = data[key]
+            data = _child(data, key)
         elif isinstance(data, dict) and isinstance(key, str) and "." in key:  # TOML makes tables in tables of it
             below = _data_location(tuple(key.split(".")), data)
             kept += below
-            for part in below:
-                data = _child(data, part)
+            data = reduce(_child, below, data)
     return tuple(kept)
 
 
@@ -413,7 +423,14 @@ def _leads_to_table(value: Any, rest: Location) -> bool:
 def _child(node: Any, key: str | int) -> Any:
     if isinstance(node, dict):
         return node.get(key)
-    return node[key] if isinstance(node, (list, tuple)) and isinstance(key, int) and key < len(node) else None
+    return node[key] if _has_child(node, key) else None
+
+
+def _has_child(node: Any, key: str | int) -> bool:
+    """Whether a table has the key, or a list the index."""
+    if isinstance(node, dict):
+        return key in node
+    return isinstance(node, (list, tuple)) and isinstance(key, int) and key < len(node)
 
 
 def _row_text(parts: Sequence[str | int]) -> str:
@@ -470,13 +487,17 @@ def _error_rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
     if kind in ("union_tag_invalid", "union_tag_not_found") and "discriminator" in ctx:
         return _tag_rule(ctx, value)
     if kind == "string_pattern_mismatch":
-        other = f"; {FILES_OF[value]}" if key == "format" and value in FILES_OF else ""
-        return f"{abbreviated(value)} is not {description or ctx['pattern']}{other}"
+        return f"{abbreviated(value)} is not {description or ctx['pattern']}{_file_of(key, value)}"
     if kind == "literal_error":
         return _choice_rule(value, re.findall(r"'([^']*)'", ctx["expected"]))
     if kind == "value_error":
         return str(ctx["error"])
     return f"{_value_rule(error)}{_in_parentheses(description)}"
+
+
+def _file_of(key: str, value: str) -> str:
+    """What a file of another format is and where it goes, for the end of a message; empty where that is not known."""
+    return f"; {FILES_OF[value]}" if key == "format" and value in FILES_OF else ""
 
 
 def _value_rule(error: Any) -> str:
@@ -499,16 +520,19 @@ def _unknown_key_rule(key: str, model: type[BaseModel], table: Location, tagged:
 
     tagged : pydantic's location, which holds the kind before the key
     """
-    kinds = {m: tag for m in _models_at(model, table) if (tag := _kind(m)) is not None}
-    stated = next((m for m, (_, names) in kinds.items() if len(tagged) > 1 and tagged[-2] in names), None)
+    kinds = {m: kind for m in _models_at(model, table) if (kind := _kind(m)) is not None}
+    tag = tagged[-2] if len(tagged) > 1 else None
+    stated = next((m for m, (_, names) in kinds.items() if tag in names), None)
     if stated is None:
         return f"unknown key `{key}`{suggestion(key, known_keys(model, table))}"
     field, keys_of_kind = kinds[stated][0], list(stated.model_fields)
-    owners = ", ".join(f'"{name}"' for m, (_, names) in kinds.items() if key in m.model_fields for name in names)
+    of_key = chain.from_iterable(names for m, (_, names) in kinds.items() if key in m.model_fields)
+    owners = ", ".join(map('"{}"'.format, of_key))
     if not owners:
         return f"unknown key `{key}`{suggestion(key, keys_of_kind)}"
-    keys = ", ".join(f"`{name}`" for name in keys_of_kind if name != field)
-    return f'`{key}` belongs to {field} = {owners}, not to {field} = "{tagged[-2]}", which takes {keys}'
+    keys_of_kind.remove(field)
+    keys = ", ".join(map("`{}`".format, keys_of_kind))
+    return f'`{key}` belongs to {field} = {owners}, not to {field} = "{tag}", which takes {keys}'
 
 
 def _kind(model: type[BaseModel]) -> tuple[str, tuple[Any, ...]] | None:

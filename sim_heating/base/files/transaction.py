@@ -214,7 +214,7 @@ def require_plain(target: Path, name: str) -> None:
              stands where a folder is needed
     """
     parts = PurePosixPath(name).parts
-    if not parts or ".." in parts or PurePosixPath(name).is_absolute() or "\\" in name or "\0" in name:
+    if not parts or ".." in parts or PurePosixPath(name).is_absolute() or set("\\\0") & set(name):
         raise InputError(f"{display_path(target)}: `{name}` is not the name of a file in it; nothing was changed")
     path = target
     for number, segment in enumerate(parts, start=1):

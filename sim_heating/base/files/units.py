@@ -185,11 +185,15 @@ def known_unit(name: str) -> Scale | None:
 def _is_written(registry: pint.UnitRegistry[Any], unit: Any) -> bool:
     """Whether anyone writes such a unit. `%s` and `ppm K` are a share times a unit; `%/s` is a rate."""
     powers = dict(dimension_of(dict(registry.Quantity(1.0, unit).unit_items())))
-    if any(name.startswith(LATEST_PREFIXES) or name.endswith(OTHER_FIELDS) for name in powers):
+    if any(map(_is_of_other_fields, powers)):
         return False
-    sides = ([n for n, power in powers.items() if power > 0.0], [n for n, power in powers.items() if power < 0.0])
+    sides = ([n for n, power in powers.items() if sign * power > 0.0] for sign in (1.0, -1.0))
     shares = {n for n in powers if not dict(registry.Quantity(1.0, n).to_base_units().unit_items())}
     return all(len(side) < 2 or shares.isdisjoint(side) for side in sides)
+
+
+def _is_of_other_fields(name: str) -> bool:
+    return name.startswith(LATEST_PREFIXES) or name.endswith(OTHER_FIELDS)
 
 
 def is_usable(scale: Scale) -> bool:
@@ -232,18 +236,23 @@ def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
     (('vel', 'ft/s'), ('T', 'mV'), ('TC 1', ''))
     """
     head = head.strip()
-    inside = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])]\s*(\S.*)", head)
-    is_inside = inside is not None and _converts(inside[2], quantities)
-    for pattern in STATED:
-        match = re.fullmatch(pattern, head)
-        if match and not (is_inside and known_unit(match[2].strip()) is None) and not match[2].strip().isdigit():
-            return match[1].rstrip("/ ").strip(), match[2].strip()
-    if inside and is_inside:
+    inside = _unit_inside(head, quantities)
+    for match in filter(None, (re.fullmatch(pattern, head) for pattern in STATED)):
+        stated = match[2].strip()
+        if not stated.isdigit() and (inside is None or known_unit(stated) is not None):
+            return match[1].rstrip("/ ").strip(), stated
+    if inside is not None:
         return f"{inside[1]} {inside[3].lstrip(', ')}".strip(), inside[2]
     if ended := _name_and_ending(head, quantities):
         return ended
-    match = re.fullmatch(SLASHED, head)
-    return (match[1], match[2]) if match else (head, "")
+    slashed = re.fullmatch(SLASHED, head)
+    return (slashed[1], slashed[2]) if slashed else (head, "")
+
+
+def _unit_inside(head: str, quantities: Sequence[str]) -> re.Match[str] | None:
+    """Name, unit in brackets, and what follows behind them, as in `T (degC) of the wall`; None without such a unit."""
+    match = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])]\s*(\S.*)", head)
+    return match if match is not None and _converts(match[2], quantities) else None
 
 
 def _name_and_ending(head: str, quantities: Sequence[str]) -> tuple[str, str] | None:

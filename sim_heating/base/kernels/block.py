@@ -100,6 +100,18 @@ EPS_FOOT, EPS_AT_FOOT, EPS_SLOPE = (WALL_COLUMN + k for k in range(1, 4))
 AIR_FOOT, AIR = EPS_SLOPE + 1, EPS_SLOPE + 2
 SCALAR_ROWS = AIR + 4
 
+_STAGES_OF_FILM = (FILM, RECOVERY, ADDED, PCOL, PFRAC, AIR_PLACE, R_BASE, LAG_VALUE, LAG_INPUT)
+_STAGES_OF_SURROUNDINGS = (STAGE_SURROUNDINGS4, STAGE_BACK_T, STAGE_NATURAL, VENTED, PAST_ONSET, STEP_FACTOR)
+STAGE_ROWS = (*_STAGES_OF_FILM, *_STAGES_OF_SURROUNDINGS)
+"""First rows of the quantities that have one row for each of the three stages."""
+COUNTERS = (FAILED, ITERATIONS, STEPS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT)
+"""Rows that count, or integrate, over a march."""
+_KEPT_OF_FACES = (SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS, FAILED, ITERATIONS, OUTSIDE, NEGATIVE)
+_KEPT_OF_HEAT = (STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT, LAG_PAST, SURFACE_SHARE, LAST_STEP, STEPS)
+KEPT_ROWS = (*(row + 2 for row in STAGE_ROWS), *_KEPT_OF_FACES, *_KEPT_OF_HEAT)
+"""Scalar rows that belong to the state: of a quantity with one row a stage that of the end of the step. The conditions
+of that stage are kept as well; all of them of the first lane of each point."""
+
 # Rows of a node. The nodes of a group are to fit the processor's innermost cache: one row serves several quantities
 # that are not needed at the same time. Temperature [K], rate at the end of the last step [K/s], temperature at the
 # start of the step [K]; half masses of the elements on either side [kg/m2], conductance of that to the right [1/m] ...

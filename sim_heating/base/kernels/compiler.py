@@ -18,20 +18,8 @@ from typing import Any
 import numba
 import numba.extending
 
+from sim_heating.base.kernels import numba_private
 from sim_heating.base.kernels.cache_folder import cache_folder
-from sim_heating.base.kernels.numba_private import (
-    CFunctionCompiler,
-    KernelCompiler,
-    array_data,
-    c_function_is_cached,
-    cached_c_function,
-    call_dispatcher_at,
-    call_effect_at,
-    call_step_at,
-    compile_within,
-    mantissa_and_exponent_bits,
-    power_of_two_bits,
-)
 from sim_heating.base.kernels.operations import call_dispatcher, call_effect, call_step, pointer, power_of_two, split
 
 if "NUMBA_CACHE_DIR" not in os.environ:
@@ -74,8 +62,8 @@ def compiled_by_one_process(function: Any) -> Iterator[None]:
 
 def kernel(function: Any, inline: bool) -> Any:
     """numba's dispatcher of a kernel; `inline` as in jit.njit."""
-    decorate = numba.njit(nogil=True, forceinline=inline, pipeline_class=KernelCompiler, **_ARITHMETIC)
-    return compile_within(compiled_by_one_process, decorate(function))
+    decorate = numba.njit(nogil=True, forceinline=inline, pipeline_class=numba_private.KernelCompiler, **_ARITHMETIC)
+    return numba_private.compile_within(compiled_by_one_process, decorate(function))
 
 
 def inlined_kernel(function: Any) -> Any:
@@ -86,44 +74,46 @@ def inlined_kernel(function: Any) -> Any:
 def c_function(signature: Any, function: Any, cache: bool) -> Any:
     """A kernel as a C function of numba."""
     if not cache:
-        return numba.cfunc(signature, pipeline_class=CFunctionCompiler, **_ARITHMETIC)(function)
-    if c_function_is_cached(signature, function):
-        return cached_c_function(signature, function, _ARITHMETIC)
+        return numba.cfunc(signature, pipeline_class=numba_private.CFunctionCompiler, **_ARITHMETIC)(function)
+    if numba_private.c_function_is_cached(signature, function):
+        return numba_private.cached_c_function(signature, function, _ARITHMETIC)
     with compiled_by_one_process(function):
-        return cached_c_function(signature, function, _ARITHMETIC)
+        return numba_private.cached_c_function(signature, function, _ARITHMETIC)
 
 
 @numba.extending.overload(pointer, inline="always")
 def _pointer_compiled(array):
     if isinstance(array, numba.types.Array):
-        return lambda array: array_data(array)
+        return lambda array: numba_private.array_data(array)
     return None
 
 
 @numba.extending.overload(power_of_two, inline="always")
 def _power_of_two_compiled(k):
-    return lambda k: power_of_two_bits(k)
+    return lambda k: numba_private.power_of_two_bits(k)
 
 
 @numba.extending.overload(split, inline="always")
 def _split_compiled(x):
-    return lambda x: mantissa_and_exponent_bits(x)
+    return lambda x: numba_private.mantissa_and_exponent_bits(x)
 
 
 @numba.extending.overload(call_dispatcher, inline="always")
 def _call_dispatcher_compiled(dispatcher, code, B, c, p, wall_K):
     if isinstance(dispatcher, numba.types.Integer):
-        return lambda dispatcher, code, B, c, p, wall_K: call_dispatcher_at(dispatcher, code, B, c, p, wall_K)
+        return lambda dispatcher, code, B, c, p, wall_K: numba_private.call_dispatcher_at(
+            dispatcher, code, B, c, p, wall_K
+        )
     return None
 
 
 @numba.extending.overload(call_effect, inline="always")
 def _call_effect_compiled(kernel, B, c, p, wall_K):
-    return lambda kernel, B, c, p, wall_K: call_effect_at(kernel, B, c, p, wall_K)
+    return lambda kernel, B, c, p, wall_K: numba_private.call_effect_at(kernel, B, c, p, wall_K)
 
 
 @numba.extending.overload(call_step, inline="always")
 def _call_step_compiled(step, B, J, table, dispatcher, dt):
     if isinstance(step, numba.types.Integer):
-        return lambda step, B, J, table, dispatcher, dt: call_step_at(step, B, J, table, dispatcher, dt)
+        return lambda step, B, J, table, dispatcher, dt: numba_private.call_step_at(step, B, J, table, dispatcher, dt)
     return None

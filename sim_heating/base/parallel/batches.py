@@ -109,16 +109,12 @@ def run_batches(
         raise InputError(f"jobs: the id `{name}` is repeated; give each job its own")
     with exclusive(out):
         clear_partial_files(out)
-        remaining = [j for j in jobs if (result := _stored_result(out, j.id)) is None or not is_current(j, result)]
+        remaining = _without_result(jobs, out, is_current)
         done = len(jobs) - len(remaining)
         before = f", {done} of them finished before" if done else ""
         progress(done / max(len(jobs), 1), f"{len(jobs)} batches{before}")
         failed = {}
-        if scheduler is None and (workers == 1 or len(remaining) <= 1):
-            running = _run_locally(remaining, function)
-        else:
-            running = _run_on_dask(remaining, function, scheduler, workers)
-        for job_id, outcome in running:
+        for job_id, outcome in _running(remaining, function, scheduler, workers):
             _store_result(out, job_id, outcome)
             if isinstance(outcome, BaseException):
                 failed[job_id] = error_line(outcome)
@@ -126,6 +122,20 @@ def run_batches(
             progress(done / len(jobs), f"batches: {done} of {len(jobs)}")
     files = {name: out / name for name in names if name not in failed}
     return Outcome(files, {job.id: failed[job.id] for job in remaining if job.id in failed})
+
+
+def _without_result(jobs: Sequence[Job], out: Path, is_current: Callable[[Job, bytes], bool]) -> list[Job]:
+    """Jobs of which the ledger has no result that still holds."""
+    return [j for j in jobs if (result := _stored_result(out, j.id)) is None or not is_current(j, result)]
+
+
+def _running(
+    jobs: Sequence[Job], function: Work, scheduler: str | None, workers: int | None
+) -> Iterator[tuple[str, bytes | BaseException]]:
+    """The id and the outcome of each job when it is done, as `run_batches` runs them."""
+    if scheduler is None and (workers == 1 or len(jobs) <= 1):
+        return _run_locally(jobs, function)
+    return _run_on_dask(jobs, function, scheduler, workers)
 
 
 def _store_result(out: Path, job_id: str, result: bytes | BaseException) -> None:

@@ -265,10 +265,10 @@ def unusable_value(use: EffectUse, time_s: FloatArray, history: FloatArray) -> s
     for t, conditions in zip(time_s, history, strict=True):
         for wall_K in PROBED_WALLS_K:  # a kernel may depend on the wall without a word of it
             value = _interpreted_value(function, _numbers(use.values, conditions), wall_K)
-            if math.isfinite(value) and not (value < 0.0 and effect.mode != "add"):
+            if math.isfinite(value) and (value >= 0.0 or effect.mode == "add"):
                 continue
             wall = f" at a wall of {wall_K:g} K" if effect.needs_wall or wall_K != PROBED_WALLS_K[0] else ""
-            rule = "a factor of 0 or above" if effect.mode != "add" else "a finite number"
+            rule = "a finite number" if effect.mode == "add" else "a factor of 0 or above"
             return f"{effect_context(effect)}: is {value:g} at time_s {t:g}{wall}; return {rule} for every input"
     return ""
 

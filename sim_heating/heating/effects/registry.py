@@ -47,8 +47,19 @@ def _loaded(label: str, load: Callable[[], Any], file: Path | None = None) -> Ef
     file   : whose lines are named in messages; None for a package, of which the file where it failed is named
     raises : InputError with the label where the module cannot be run, or where its EFFECT is not an Effect
     """
+    loaded = _run(label, load, file)
+    is_module = isinstance(loaded, ModuleType)
+    effect = getattr(loaded, "EFFECT", None) if is_module else loaded
+    if isinstance(effect, Effect) or (effect is None and is_module and file is not None):
+        return effect
+    name = "EFFECT" if is_module else "it"
+    raise InputError(f"{label}: {name} is a {type(effect).__name__}; it must be an Effect")
+
+
+def _run(label: str, load: Callable[[], Any], file: Path | None) -> Any:
+    """What a user's module gives, as `_loaded`; whatever it raises is an InputError."""
     try:
-        loaded = load()
+        return load()
     except InputError as error:
         raise InputError(*(f"{label}: {p}" for p in error.problems)) from None
     except KeyboardInterrupt:
@@ -56,12 +67,6 @@ def _loaded(label: str, load: Callable[[], Any], file: Path | None = None) -> Ef
     except BaseException as error:  # whatever a user's file does, sys.exit() included
         where = "" if file is None else _line(file, error)
         raise InputError(f"{label}{where}: {type(error).__name__}: {error}{_remedy(error)}") from None
-    is_module = isinstance(loaded, ModuleType)
-    effect = getattr(loaded, "EFFECT", None) if is_module else loaded
-    if isinstance(effect, Effect) or (effect is None and is_module and file is not None):
-        return effect
-    name = "EFFECT" if is_module else "it"
-    raise InputError(f"{label}: {name} is a {type(effect).__name__}; it must be an Effect")
 
 
 def _from_file(path: Path) -> Effect | None:

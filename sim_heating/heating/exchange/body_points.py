@@ -22,7 +22,8 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import CsvTable, csv_text, display_path, raise_problems
-from sim_heating.base.files.csv_table import read_csv_columns
+from sim_heating.base.files.csv_table import names_line, read_csv_columns
 from sim_heating.base.files.text import read_text
 from sim_heating.base.files.units import Conversion, converted, name_and_unit
 from sim_heating.heating.atmosphere import free_stream, standard_speed_of_sound, us76
@@ -120,10 +121,14 @@ def _group(file: CsvTable, groups: tuple[tuple[str, ...], ...], where: str) -> t
     raises : InputError that names the groups
     """
     for names in groups:
-        if all(n in file.columns for n in names):
+        if _has(file, names):
             return names
     choices = ", or ".join(" with ".join(f"`{n}`" for n in names) for names in groups)
     raise InputError(f"{where}: lacks columns; give {choices}")
+
+
+def _has(file: CsvTable, names: Iterable[str]) -> bool:
+    return all(n in file.columns for n in names)
 
 
 def _in_columns(path: Path) -> CsvTable:
@@ -132,12 +137,12 @@ def _in_columns(path: Path) -> CsvTable:
     raises : InputError for a head with a unit of another quantity, or without one
     """
     lines = read_text(path).splitlines()
-    at = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
+    at = names_line(lines)
     heads = [] if at is None else next(csv.reader([lines[at]]))
     columns = [_column_and_unit(head, display_path(path)) for head in heads]
     if at is not None:
         lines[at] = ",".join(name for name, _ in columns)
-    optional = ("beta_deg", "wall_K", *(n for g in (*REYNOLDS, *HEATING) for n in g))
+    optional = ("beta_deg", "wall_K", *chain.from_iterable((*REYNOLDS, *HEATING)))
     renamed = {name: head.strip() for head, (name, _) in zip(heads, columns, strict=True) if name != head.strip()}
     file = read_csv_columns(path, (*POSITION, "alpha_deg"), optional, content="\n".join(lines), heads=renamed)
     return file.with_columns(
@@ -161,8 +166,8 @@ def _column_and_unit(head: str, where: str) -> tuple[str, Conversion | None]:
 
 
 def _ratio(file: CsvTable, where: str, reference: str | None, nose_radius_m: float | None) -> FloatArray:
-    computed = next((names for names in COMPUTED if all(n in file.columns for n in names)), None)
-    has_reference = any(all(n in file.columns for n in names) for names in HEATING)
+    computed = next((names for names in COMPUTED if _has(file, names)), None)
+    has_reference = any(_has(file, names) for names in HEATING)
     if computed is not None and not has_reference and reference is not None and nose_radius_m is not None:
         h_ref, H_r = _reference_of(file, where, reference, nose_radius_m)
         if computed == COMPUTED[0]:

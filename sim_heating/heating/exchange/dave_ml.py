@@ -18,6 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -30,16 +31,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path, raise_problems, suggestion, write_text_atomic
 from sim_heating.base.files.xml import read_xml
-from sim_heating.heating.exchange.mathml import (
-    NAMESPACE,
-    Expression,
-    evaluate,
-    local_name,
-    names_in,
-    number_of,
-    read_math,
-    write_math,
-)
+from sim_heating.heating.exchange import mathml
 
 ROOT, SPACE = "DAVEfunc", "http://daveml.org/2010/DAVEML"
 DOCTYPE = (
@@ -65,7 +57,7 @@ class Variable:
     attributes: Mapping[str, str]
     flags: tuple[str, ...] = ()
     description: str = ""
-    calculation: Expression | None = None
+    calculation: mathml.Expression | None = None
 
     def number(self, name: str) -> float | None:
         """A numeric attribute in the unit of the variable, or [-]; None where it is absent.
@@ -73,7 +65,7 @@ class Variable:
         Source: ANSI/AIAA S-119 (2011).
         """
         text = self.attributes.get(name)
-        return None if text is None else number_of(text, f"variableDef `{self.id}`, {name}")
+        return None if text is None else mathml.number_of(text, f"variableDef `{self.id}`, {name}")
 
     @property
     def name(self) -> str:
@@ -243,8 +235,10 @@ class DaveModel:
 
     def _needs(self, identifier: str) -> tuple[str, ...]:
         calculation = self.variables[identifier].calculation
+        if calculation is not None:
+            return tuple(mathml.names_in(calculation))
         function = self.by_result.get(identifier)
-        return tuple(names_in(calculation)) if calculation is not None else function.variables if function else ()
+        return function.variables if function else ()
 
     @cached_property
     def _order(self) -> tuple[str, ...]:
@@ -294,20 +288,23 @@ class DaveModel:
         by_identifier: dict[str, Any] = {}
         for i in self._order:
             v = self.variables[i]
-            if v.calculation is not None:
-                by_identifier[i] = evaluate(v.calculation, by_identifier)
-            elif i in self.by_result:
-                by_identifier[i] = self.by_result[i].at(by_identifier)
-            elif i in values:
-                by_identifier[i] = np.asarray(values[i], dtype=float)
-            elif (start := v.number("initialValue")) is not None:
-                by_identifier[i] = np.float64(start)
-            else:
-                raise InputError(f"input `{i}` ({v.name}) has no value; it needs {', '.join(self.inputs)}")
+            by_identifier[i] = self._value_of(v, values, by_identifier)
             low, high = v.number("minValue"), v.number("maxValue")
             if low is not None or high is not None:
                 by_identifier[i] = np.clip(by_identifier[i], low, high)
         return {i: by_identifier[i] for i in self.variables}
+
+    def _value_of(self, v: Variable, values: Mapping[str, ArrayLike], by_identifier: Mapping[str, Any]) -> Any:
+        """Value of a variable, not yet within its limits, from those of the variables that it needs."""
+        if v.calculation is not None:
+            return mathml.evaluate(v.calculation, by_identifier)
+        if v.id in self.by_result:
+            return self.by_result[v.id].at(by_identifier)
+        if v.id in values:
+            return np.asarray(values[v.id], dtype=float)
+        if (start := v.number("initialValue")) is not None:
+            return np.float64(start)
+        raise InputError(f"input `{v.id}` ({v.name}) has no value; it needs {', '.join(self.inputs)}")
 
     def check_problems(self) -> list[str]:
         """Check values, each in the unit of its variable ([deg], [-] ...), that the model misses by more than their
@@ -346,6 +343,12 @@ def _extrapolation(variable: ET.Element, where: str) -> str:
     return end
 
 
+def _limits(variable: ET.Element, where: str) -> tuple[float, float]:
+    """Least and greatest value of a variable that its table is read at."""
+    least, greatest = variable.get("min", "-1e300"), variable.get("max", "1e300")
+    return mathml.number_of(least, f"{where}, min"), mathml.number_of(greatest, f"{where}, max")
+
+
 class _Reader:
     """Reads a document; messages name the element by its identifier or name."""
 
@@ -365,18 +368,21 @@ class _Reader:
         name = e.get("gtID") or e.get("name") or "inline"
         where = f"griddedTableDef `{name}`"
         references = [r.get("bpID", "") for r in _children(_child(e, "breakpointRefs", where), "bpRef")]
-        for r in references:
-            if r not in self.breakpoints:
-                raise InputError(f"{where}: breakpoints `{r}` are not defined{suggestion(r, self.breakpoints)}")
-        axes = tuple(self.breakpoints[r] for r in references)
-        for r, axis in zip(references, axes, strict=True):
-            if len(axis) == 0 or np.any(np.diff(axis) <= 0.0):
-                raise InputError(f"breakpointDef `{r}`: must increase from value to value")
+        axes = self.axes_of(references, where)
         values = _numbers(_child(e, "dataTable", where), where)
-        shape = tuple(len(axis) for axis in axes)
+        shape = tuple(map(len, axes))
         if values.size != np.prod(shape):
             raise InputError(f"{where}: {values.size} values, and its breakpoints make {int(np.prod(shape))}")
         return GriddedTable(name, tuple(references), axes, values.reshape(shape))
+
+    def axes_of(self, references: Sequence[str], where: str) -> tuple[FloatArray, ...]:
+        for r in references:
+            if r not in self.breakpoints:
+                raise InputError(f"{where}: breakpoints `{r}` are not defined{suggestion(r, self.breakpoints)}")
+        for r in references:
+            if len(self.breakpoints[r]) == 0 or np.any(np.diff(self.breakpoints[r]) <= 0.0):
+                raise InputError(f"breakpointDef `{r}`: must increase from value to value")
+        return tuple(self.breakpoints[r] for r in references)
 
     def ungridded(self, e: ET.Element) -> UngriddedTable:
         name = e.get("utID") or e.get("name") or "inline"
@@ -432,16 +438,13 @@ class _Reader:
             if count != len(inputs):
                 raise InputError(f"{where}: {len(inputs)} independent variables, and its table has {count}")
         ends = tuple(_extrapolation(i, where) for i in inputs)
-        limits = tuple(
-            (number_of(i.get("min", "-1e300"), f"{where}, min"), number_of(i.get("max", "1e300"), f"{where}, max"))
-            for i in inputs
-        )
+        limits = tuple(_limits(i, where) for i in inputs)
         identifiers = tuple(i.get("varID", "") for i in inputs)
         return Function(name, identifiers, result.get("varID", ""), table, limits, ends, _text(e, "description"))
 
     def table_of(self, definition: ET.Element, where: str) -> Table:
         for e in definition:
-            name = local_name(e)
+            name = mathml.local_name(e)
             if name in ("griddedTableRef", "ungriddedTableRef"):
                 key = e.get("gtID") or e.get("utID") or ""
                 if key not in self.tables:
@@ -455,13 +458,13 @@ class _Reader:
 
 
 def _children(element: ET.Element, name: str) -> list[ET.Element]:
-    return [e for e in element if local_name(e) == name]
+    return [e for e in element if mathml.local_name(e) == name]
 
 
 def _child(element: ET.Element, name: str, where: str = "") -> ET.Element:
     children = _children(element, name)
     if not children:
-        raise InputError(f"{where or f'<{local_name(element)}>'}: lacks <{name}>")
+        raise InputError(f"{where or f'<{mathml.local_name(element)}>'}: lacks <{name}>")
     return children[0]
 
 
@@ -474,7 +477,7 @@ def _text(element: ET.Element, name: str) -> str:
 def _numbers(element: ET.Element, where: str) -> FloatArray:
     """Numbers of an element's text, between commas or white space."""
     text = "".join(element.itertext()).replace(",", " ").split()
-    return np.array([number_of(t, where) for t in text])
+    return np.array([mathml.number_of(t, where) for t in text])
 
 
 def _variable(e: ET.Element) -> Variable:
@@ -483,10 +486,10 @@ def _variable(e: ET.Element) -> Variable:
     calculation = None
     for c in _children(e, "calculation"):
         try:
-            calculation = read_math(_child(c, "math"))
+            calculation = mathml.read_math(_child(c, "math"))
         except InputError as error:
             raise InputError(f"variableDef `{identifier}`: {error}") from None
-    flags = tuple(local_name(c) for c in e if local_name(c) in FLAGS)
+    flags = tuple(mathml.local_name(c) for c in e if mathml.local_name(c) in FLAGS)
     variable = Variable(identifier, attributes, flags, _text(e, "description"), calculation)
     for name in ("initialValue", "minValue", "maxValue"):
         variable.number(name)  # a text that is no number is refused where it stands
@@ -497,19 +500,35 @@ def _case(e: ET.Element, variables: Mapping[str, Variable], names: Mapping[str, 
     where = f"staticShot `{e.get('name')}`"
 
     def signals(group: str, with_tolerance: bool) -> Iterator[Signal]:
-        for s in (s for g in _children(e, group) for s in _children(g, "signal")):
-            key = next((c.text or "" for c in s if local_name(c) in ("varID", "signalID")), None)
-            key = key if key is not None else _text(s, "signalName")
-            key = key.strip() if key.strip() in variables else names.get(key.strip(), "")
-            if not key:
-                label = next((c.text for c in s if local_name(c) in ("varID", "signalID", "signalName")), "")
-                raise InputError(f"{where}: signal `{label}` is no variable{suggestion(label or '', names)}")
-            tolerance = _text(s, "tol")
-            value = number_of(_text(s, "signalValue"), f"{where}, `{key}`")
-            yield Signal(key, value, number_of(tolerance, f"{where}, tol") if with_tolerance and tolerance else None)
+        for s in chain.from_iterable(_children(g, "signal") for g in _children(e, group)):
+            key = _variable_of_signal(s, where, variables, names)
+            tolerance = _text(s, "tol") if with_tolerance else ""
+            value = mathml.number_of(_text(s, "signalValue"), f"{where}, `{key}`")
+            yield Signal(key, value, mathml.number_of(tolerance, f"{where}, tol") if tolerance else None)
 
     results = (*signals("internalValues", True), *signals("checkOutputs", True))
     return CheckCase(e.get("name", ""), tuple(signals("checkInputs", False)), results)
+
+
+def _variable_of_signal(
+    signal: ET.Element, where: str, variables: Mapping[str, Variable], names: Mapping[str, str]
+) -> str:
+    """Identifier of the variable that a signal names by it or by the variable's name.
+
+    raises : InputError for one of no variable
+    """
+    stated = _first_text(signal, "varID", "signalID")
+    stated = (_text(signal, "signalName") if stated is None else stated).strip()
+    key = stated if stated in variables else names.get(stated, "")
+    if not key:
+        label = _first_text(signal, "varID", "signalID", "signalName") or ""
+        raise InputError(f"{where}: signal `{label}` is no variable{suggestion(label, names)}")
+    return key
+
+
+def _first_text(element: ET.Element, *names: str) -> str | None:
+    """Text of the first child that has one of the names; None without such a child."""
+    return next((c.text or "" for c in element if mathml.local_name(c) in names), None)
 
 
 def read_dave_ml(path: str | os.PathLike[str]) -> DaveModel:
@@ -585,8 +604,8 @@ def _write_variable(root: ET.Element, v: Variable) -> None:
     if v.description:
         ET.SubElement(e, "description").text = v.description
     if v.calculation is not None:
-        math = ET.SubElement(ET.SubElement(e, "calculation"), "math", xmlns=NAMESPACE)
-        math.append(write_math(v.calculation))
+        math = ET.SubElement(ET.SubElement(e, "calculation"), "math", xmlns=mathml.NAMESPACE)
+        math.append(mathml.write_math(v.calculation))
     for flag in v.flags:
         ET.SubElement(e, flag)
 

@@ -136,13 +136,10 @@ def _read_dave_ml(path: Path) -> RatioTable:
     """A ratio table from a model of which an output is the ratio, sampled at the nodes of its tables."""
     model, where = dave_ml.read_dave_ml(path), display_path(path)
     raise_problems([f"{where}: {p}" for p in model.check_problems()])
-    result = _variable_named(model, RATIO, model.outputs)
-    if result is None:
-        names = ", ".join(model.outputs) or "none"
-        raise InputError(f"{where}: no output named `{STANDARD_NAMES[RATIO]}` or `{RATIO}` (outputs: {names})")
+    result = _ratio_of(model, where)
     inputs = _inputs_of_ratio(model, where)
     axes = {name: model.nodes_of(i) for name, i in inputs.items()}
-    if (count := int(np.prod([len(a) for a in axes.values()]))) > MOST_NODES:
+    if (count := int(np.prod(list(map(len, axes.values()))))) > MOST_NODES:
         raise InputError(f"{where}: its tables have {count} nodes together; {MOST_NODES} are read")
     grid = dict(zip(RATIO_VARIABLES, np.meshgrid(*axes.values(), indexing="ij"), strict=True))
     outputs = model.evaluate({i: grid[name] for name, i in inputs.items() if i is not None})
@@ -155,6 +152,18 @@ def _read_dave_ml(path: Path) -> RatioTable:
     header = dict(line.split(": ", 1) for line in model.about.splitlines() if ": " in line)
     header.setdefault("source", model.title)
     return table_of_text(path, csv_text(columns, None, header))
+
+
+def _ratio_of(model: dave_ml.DaveModel, where: str) -> str:
+    """Identifier of the output that is the ratio.
+
+    raises : InputError where there is none
+    """
+    result = _variable_named(model, RATIO, model.outputs)
+    if result is None:
+        names = ", ".join(model.outputs) or "none"
+        raise InputError(f"{where}: no output named `{STANDARD_NAMES[RATIO]}` or `{RATIO}` (outputs: {names})")
+    return result
 
 
 def _variable_named(model: dave_ml.DaveModel, name: str, among: tuple[str, ...]) -> str | None:
@@ -189,18 +198,27 @@ def _absent_surfaces(data: Any, where: str) -> list[str]:
     return lacking
 
 
-def _read_netcdf(path: Path) -> RatioTable:
-    """A ratio table from a variable `ratio` over coordinates named as the columns; `sigma` where it is there."""
+def _data_set(path: Path, where: str) -> Any:
+    """A data set with a variable `ratio`.
+
+    raises : InputError for another file
+    """
     import xarray as xr
 
-    where = display_path(path)
     try:
         with xr.open_dataset(path, decode_times=False) as opened:
-            data: Any = opened.load()
+            data = opened.load()
     except (OSError, ValueError) as error:
         raise InputError(f"{where}: is no netCDF file that can be read ({' '.join(str(error).split())[:80]})") from None
     if RATIO not in data:
         raise InputError(f"{where}: no variable `{RATIO}` (it has: {', '.join(map(str, data.data_vars)) or 'none'})")
+    return data
+
+
+def _read_netcdf(path: Path) -> RatioTable:
+    """A ratio table from a variable `ratio` over coordinates named as the columns; `sigma` where it is there."""
+    where = display_path(path)
+    data = _data_set(path, where)
     data = data.expand_dims({n: [0.0] for n in _absent_surfaces(data, where)})
     grid = np.meshgrid(*(np.asarray(data[n], dtype=float) for n in RATIO_VARIABLES), indexing="ij")
     columns = {n: g.ravel() for n, g in zip(RATIO_VARIABLES, grid, strict=True)}

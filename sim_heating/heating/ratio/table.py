@@ -20,19 +20,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_heating.base import files
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, SURFACES
 from sim_heating.base.errors import InputError, tell
-from sim_heating.base.files import (
-    CsvTable,
-    csv_text,
-    display_path,
-    raise_problems,
-    read_csv_columns,
-    read_text,
-    suggestion,
-    write_text_atomic,
-)
+from sim_heating.base.files import CsvTable, display_path, raise_problems, suggestion
 from sim_heating.base.limits import QUANTITIES, Quantity, usual_remark
 from sim_heating.heating.reference.models import recovery_name
 from sim_heating.heating.reference.recovery import RECOVERIES
@@ -112,7 +104,7 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
               a ratio below 0 by more than its uncertainty, an unknown column, a repeated or missing node; nodes, ratios
               or sigma in another unit
     """
-    return table_of_text(Path(path), read_text(path))
+    return table_of_text(Path(path), files.read_text(path))
 
 
 def table_of_text(path: Path, text: str) -> RatioTable:
@@ -174,7 +166,7 @@ def is_below_zero(ratio: FloatArray, sigma: FloatArray) -> BoolArray:
 def _table_of(path: Path, text: str) -> RatioTable:
     """The table that a file with this text holds; its arrays are shared by all who read it, and cannot be written."""
     required = tuple(name for name in RATIO_VARIABLES if name not in SURFACES)
-    table = read_csv_columns(path, (*required, "ratio"), (*SURFACES, "sigma"), content=text)
+    table = files.read_csv_columns(path, (*required, "ratio"), (*SURFACES, "sigma"), content=text)
     table = table.with_columns({name: np.zeros(len(table)) for name in SURFACES if name not in table.columns})
     raise_problems([*_header_problems(table), *_column_problems(table)])
     axes = tuple(np.unique(table[name]) for name in RATIO_VARIABLES)
@@ -203,7 +195,7 @@ def write_ratio_table(
     path    : CSV file to write;  table : angles [deg], log10_re and ratios [-]
     formats : column name -> format, such as `.4g`; see `ratio_table_text`
     """
-    write_text_atomic(path, ratio_table_text(table, formats))
+    files.write_text_atomic(path, ratio_table_text(table, formats))
 
 
 def ratio_table_text(table: RatioTable, formats: Mapping[str, str] | None = None) -> str:
@@ -215,7 +207,7 @@ def ratio_table_text(table: RatioTable, formats: Mapping[str, str] | None = None
     columns = {name: g.ravel() for name, g in zip(RATIO_VARIABLES, grid, strict=True)} | {"ratio": table.ratio.ravel()}
     if table.sigma is not None:
         columns["sigma"] = table.sigma.ravel()
-    return csv_text(columns, formats, table.header)
+    return files.csv_text(columns, formats, table.header)
 
 
 def _header_problems(table: CsvTable) -> list[str]:

@@ -66,7 +66,8 @@ def derived_conditions(
     air = _Air(c, sounding)
     if "velocity_m_s" in requested:
         _add_speed(c, notes, air)
-    _add_density(c, notes, air, requested)
+    if "rho_kg_m3" in requested:
+        _add_density(c, notes, air)
     _add_free_stream(c, notes, air, requested, length_m)
     columns = {name: values for name, values in c.items() if name not in (REYNOLDS, SOUND, GEOPOTENTIAL)}
     return DerivedConditions(columns, (*notes, *air.notes), tuple(n for n in AIR if n in air.of_model))
@@ -133,18 +134,23 @@ def _add_speed(c: dict[str, FloatArray], notes: list[str], air: _Air) -> None:
         notes.append(f"velocity_m_s from mach{air.named('T_inf_K')}")
 
 
-def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air, requested: Collection[str]) -> None:
+def _is_positive(c: Mapping[str, FloatArray], name: str) -> bool:
+    """Whether a column is there, and positive in all rows."""
+    return name in c and bool(np.all(c[name] > 0.0))
+
+
+def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air) -> None:
     """Density [kg/m3] of dynamic pressure, of pressure and temperature, or of the air at the altitude."""
-    if "rho_kg_m3" in c or "rho_kg_m3" not in requested:
+    if "rho_kg_m3" in c:
         return
-    q = next((name for name in ("q_Pa", "qbar_Pa") if name in c), None)
-    if q is not None and "velocity_m_s" in c and np.all(c["velocity_m_s"] > 0.0):
+    q = "q_Pa" if "q_Pa" in c else "qbar_Pa"
+    if q in c and _is_positive(c, "velocity_m_s"):
         c["rho_kg_m3"] = 2.0 * c[q] / c["velocity_m_s"] ** 2
         notes.append(f"rho_kg_m3 from {q} and velocity_m_s")
-    elif "p_inf_Pa" in c and "T_inf_K" in c and np.all(c["p_inf_Pa"] > 0.0):
+    elif "T_inf_K" in c and _is_positive(c, "p_inf_Pa"):
         c["rho_kg_m3"] = c["p_inf_Pa"] / (atmosphere.R_AIR * c["T_inf_K"])
         notes.append("rho_kg_m3 from p_inf_Pa and T_inf_K")
-    elif "p_inf_Pa" in c and "altitude_m" in c and np.all(c["p_inf_Pa"] > 0.0):
+    elif "altitude_m" in c and _is_positive(c, "p_inf_Pa"):
         c["rho_kg_m3"] = c["p_inf_Pa"] / (atmosphere.R_AIR * air["T_inf_K"])
         notes.append(f"rho_kg_m3 from p_inf_Pa{air.named('T_inf_K')}")
     elif "altitude_m" in c:
@@ -155,7 +161,7 @@ def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air, requeste
 def _add_air(c: dict[str, FloatArray], notes: list[str], air: _Air, absent: Collection[str]) -> None:
     """Temperature [K] and pressure [Pa] by the gas law, where one of them is absent, or of the air of the day."""
     if "T_inf_K" in absent:
-        low = np.all(c["altitude_m"] <= atmosphere.UPPER_BASE_M) and "p_inf_Pa" in c and np.all(c["p_inf_Pa"] > 0.0)
+        low = np.all(c["altitude_m"] <= atmosphere.UPPER_BASE_M) and _is_positive(c, "p_inf_Pa")
         c["T_inf_K"] = c["p_inf_Pa"] / (c["rho_kg_m3"] * atmosphere.R_AIR) if low else air["T_inf_K"]
         notes.append("T_inf_K from p_inf_Pa and rho_kg_m3" if low else f"T_inf_K of {air.source}")
     if "p_inf_Pa" in absent:
@@ -190,8 +196,13 @@ def _add_free_stream(
     else:
         _add_air(c, notes, air, absent)
         _add_similarity(c, absent, length)
-    if "mach" in absent:
-        notes.append("mach from velocity_m_s and the speed of sound")
-    if "log10_re" in absent:
-        per = "per metre" if length_m is None else f"of the reference length {length:g} m"
-        notes.append(f"log10_re {per} from rho_kg_m3, velocity_m_s and T_inf_K")
+    notes += _notes_of_similarity(absent, length_m)
+
+
+def _notes_of_similarity(absent: Collection[str], length_m: float | None) -> list[str]:
+    per = "per metre" if length_m is None else f"of the reference length {length_m:g} m"
+    of_column = {
+        "mach": "mach from velocity_m_s and the speed of sound",
+        "log10_re": f"log10_re {per} from rho_kg_m3, velocity_m_s and T_inf_K",
+    }
+    return [note for name, note in of_column.items() if name in absent]

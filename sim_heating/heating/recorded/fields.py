@@ -204,17 +204,26 @@ def field_of_name(name: str, unit: str | None = None) -> FlightField | None:
         of_factor = field_of_name(factor[1])
         return None if of_factor is None else replace(of_factor, name=name, unit=None, convert=AS_IT_IS)
     columns = _columns(base)
-    if stated in MACH_UNITS and "velocity_m_s" in columns:
-        return FlightField(name, "mach", stated, AS_IT_IS)
-    for column in columns if stated else ():
-        convert = _conversion(stated, column)
-        if convert is not None:
-            return FlightField(name, column, stated, convert)
+    if (with_unit := _field_with_unit(name, columns, stated)) is not None:
+        return with_unit
     is_ending = unit is None and name.rstrip()[-1:] not in CLOSING
     columns = _columns(_visible(name)) if stated and is_ending else columns
-    return (
-        FlightField(name, columns[0], "" if columns[0] in PLAIN and not stated else None, AS_IT_IS) if columns else None
-    )
+    return _field_without_unit(name, columns, stated)
+
+
+def _field_with_unit(name: str, columns: Sequence[str], unit: str) -> FlightField | None:
+    """The first of several columns that a unit converts to; None where it converts to none."""
+    if unit in MACH_UNITS and "velocity_m_s" in columns:
+        return FlightField(name, "mach", unit, AS_IT_IS)
+    of_column = {column: _conversion(unit, column) for column in columns if unit}
+    return next((FlightField(name, c, unit, convert) for c, convert in of_column.items() if convert is not None), None)
+
+
+def _field_without_unit(name: str, columns: Sequence[str], stated: str) -> FlightField | None:
+    """The first of several columns; its unit is asked for, but of a plain number with which no other unit stands."""
+    if not columns:
+        return None
+    return FlightField(name, columns[0], "" if columns[0] in PLAIN and not stated else None, AS_IT_IS)
 
 
 def _conversion(unit: str, column: str) -> Conversion | None:

@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,7 @@ from sim_heating.heating.recorded.fields import (
 if TYPE_CHECKING:
     from sim_heating.heating.recorded.cells.block import Block
     from sim_heating.heating.recorded.cells.clocks import Clock
+    from sim_heating.heating.recorded.cells.numbers import Signs
 
 SAME = 2e-3
 """Relative difference of two fields of one column that are the same but for rounding."""
@@ -146,22 +148,37 @@ def read_fields(path: Path, stated: Mapping[str, ConditionField | str] | None = 
     units, numbers = _units_and_numbers(block, declared)
     with error_context(display_path(path)):
         by_column = columns_of_fields(names, units, declared)
-    blank = {name for name, values in numbers.items() if np.all(np.isnan(values))}
-    filled = {column: [f for f in fields if f.name not in blank] for column, fields in by_column.items()}
-    columns: dict[str, FloatArray] = {}
-    used: dict[str, FlightField] = {}
-    fields_without_unit: dict[str, FlightField] = {}
-    for column, fields in filled.items():
-        if with_unit := [f for f in fields if f.unit is not None]:
-            used[column], columns[column] = _one(path, column, with_unit, numbers)
-        elif fields:
-            fields_without_unit[column] = fields[0]
+    filled = {name: values for name, values in numbers.items() if not np.all(np.isnan(values))}
+    used, columns, fields_without_unit = _taken(path, by_column, filled)
     columns |= {column: np.full(len(lines), constant) for column, constant in declared_constants(declared).items()}
-    matched = [f.name for fields in by_column.values() for f in fields]
-    unused, empty = tuple(n for n in names if n not in matched), tuple(n for n in matched if n in blank)
-    ahead = [line for line in text.split("\n")[: lines[0] - 1] if line.lstrip().startswith("#")]
-    header = dict(header_entry(line) for line in ahead if ":" in line)
+    matched = [f.name for f in chain.from_iterable(by_column.values())]
+    unused, empty = tuple(n for n in names if n not in matched), tuple(n for n in matched if n not in filled)
+    header = _header(text.split("\n")[: lines[0] - 1])
     return FlightFields(path, columns, used, fields_without_unit, unused, empty, header, lines, numbers)
+
+
+def _taken(
+    path: Path, fields: Mapping[str, Sequence[FlightField]], numbers: Mapping[str, FloatArray]
+) -> tuple[dict[str, FlightField], dict[str, FloatArray], dict[str, FlightField]]:
+    """Column -> the field that it is taken from, its values, and the field of a column that none states the unit of.
+
+    numbers : of the fields that hold any
+    """
+    used: dict[str, FlightField] = {}
+    columns: dict[str, FloatArray] = {}
+    fields_without_unit: dict[str, FlightField] = {}
+    for column, all_fields in fields.items():
+        of_column = [f for f in all_fields if f.name in numbers]
+        if with_unit := [f for f in of_column if f.unit is not None]:
+            used[column], columns[column] = _one(path, column, with_unit, numbers)
+        elif of_column:
+            fields_without_unit[column] = of_column[0]
+    return used, columns, fields_without_unit
+
+
+def _header(lines: Sequence[str]) -> dict[str, str]:
+    """The entries `# key: value` of lines above the names."""
+    return dict(header_entry(line) for line in lines if line.lstrip().startswith("#") and ":" in line)
 
 
 def _one(
@@ -217,13 +234,24 @@ def _block(path: Path, text: str) -> Block:
 def _with_clock(block: Block, declared: Mapping[str, ConditionField | str]) -> Mapping[str, ConditionField | str]:
     """Declared fields, with the column of clocks as the time that is called so, else the only one, where none is
     declared."""
+    if "time_s" in declared:
+        return declared
+    called = list(filter(_is_time, block.names))
+    clocks = [name for k, name in enumerate(block.names) if _are_clocks(list(filter(None, block.column(k)[:50])))]
+    times = [name for name in called or clocks if name in clocks]
+    return {**declared, "time_s": times[0]} if len(times) == 1 else declared
+
+
+def _is_time(name: str) -> bool:
+    """Whether a field is called as a time is."""
+    f = field_of_name(name)
+    return f is not None and f.column == "time_s"
+
+
+def _are_clocks(cells: Sequence[str]) -> bool:
     from sim_heating.heating.recorded.cells.text import is_clock
 
-    called = [name for name in block.names if (f := field_of_name(name)) is not None and f.column == "time_s"]
-    first = [(name, [c for c in block.column(k)[:50] if c]) for k, name in enumerate(block.names)]
-    clocks = [name for name, cells in first if cells and all(map(is_clock, cells))]
-    times = [name for name in called or clocks if name in clocks]
-    return declared if "time_s" in declared or len(times) != 1 else {**declared, "time_s": times[0]}
+    return bool(cells) and all(map(is_clock, cells))
 
 
 def _units_and_numbers(
@@ -234,35 +262,49 @@ def _units_and_numbers(
     raises : InputError where a cell shows that the layout is not clear
     """
     from sim_heating.heating.recorded.cells.clocks import clock_of
-    from sim_heating.heating.recorded.cells.numbers import number_signs, numbers_of, require_one_unit, shown_cell
-    from sim_heating.heating.recorded.cells.text import is_clock
+    from sim_heating.heating.recorded.cells.numbers import number_signs
 
-    fields = [field_of_name(name) for name in block.names]
-    time = declared.get("time_s")
-    times = (
-        [f.name for f in fields if f is not None and f.column == "time_s"]
-        if time is None
-        else [time if isinstance(time, str) else time.field]
-    )
-    clocks = {k for k, name in enumerate(block.names) if name in times and any(map(is_clock, block.column(k)[:50]))}
+    clocks = _clock_columns(block, declared.get("time_s"))
     signs = number_signs(block, [k for k in range(len(block.names)) if k not in clocks], None)
     units, numbers = {}, {}
-    for k, (name, stated, of_name) in enumerate(zip(block.names, block.units, fields, strict=True)):
-        cells = block.column(k)
-        clock = clock_of(cells, f"{display_path(block.path)}, column {name}") if k in clocks else None
-        read = numbers_of(cells, signs)
-        unit = stated.strip("[]() ") or read.unit
-        if clock is None and of_name is not None:
-            if read.torn >= 0:
-                shown = shown_cell(cells[read.torn])
-                rule = "is no number in the layout of the file; mend the cell"
-                raise InputError(f"{block.at(read.torn, name)}: `{shown}` {rule}")
-            stated_unit = stated.strip("[]() ") or of_name.unit or ""
-            require_one_unit(block, k, read, stated_unit, [column_unit(of_name.column)])
-        numbers[name] = read.values if clock is None else _counted_s(clock)
-        if clock is not None or unit:
-            units[name] = unit if clock is None else "s"
+    for k, name in enumerate(block.names):
+        clock = clock_of(block.column(k), f"{display_path(block.path)}, column {name}") if k in clocks else None
+        if clock is None:
+            unit, numbers[name] = _unit_and_numbers(block, k, signs)
+        else:
+            unit, numbers[name] = "s", _counted_s(clock)
+        if unit:
+            units[name] = unit
     return units, numbers
+
+
+def _clock_columns(block: Block, time: ConditionField | str | None) -> set[int]:
+    """Columns of a time in which dates or times of day stand.
+
+    time : the field that is declared to be the time
+    """
+    from sim_heating.heating.recorded.cells.text import is_clock
+
+    declared = time.field if isinstance(time, ConditionField) else time
+    times = set(filter(_is_time, block.names)) if time is None else {declared}
+    return {k for k, name in enumerate(block.names) if name in times and any(map(is_clock, block.column(k)[:50]))}
+
+
+def _unit_and_numbers(block: Block, k: int, signs: Signs) -> tuple[str, FloatArray]:
+    """Unit of a column of numbers, where a row of units or the cells state one, and its numbers.
+
+    raises : InputError where a cell of a flight condition is torn, or has another unit than the column
+    """
+    from sim_heating.heating.recorded.cells.numbers import numbers_of, require_one_unit, shown_cell
+
+    cells, of_name, stated = block.column(k), field_of_name(block.names[k]), block.units[k].strip("[]() ")
+    read = numbers_of(cells, signs)
+    if of_name is not None:
+        if read.torn >= 0:
+            rule = "is no number in the layout of the file; mend the cell"
+            raise InputError(f"{block.at(read.torn, block.names[k])}: `{shown_cell(cells[read.torn])}` {rule}")
+        require_one_unit(block, k, read, stated or of_name.unit or "", [column_unit(of_name.column)])
+    return stated or read.unit, read.values
 
 
 def _counted_s(clock: Clock) -> FloatArray:

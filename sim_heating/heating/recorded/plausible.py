@@ -23,7 +23,7 @@ sample that stands out of those before and after it. Records, trajectories and l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -215,13 +215,8 @@ def mach_problems(table: CsvTable) -> list[str]:
     gas = np.clip(table["p_inf_Pa"] / (rho * T), R_AIR * GAS_RANGE[0], R_AIR * GAS_RANGE[1]) if has_gas else R_AIR
     # A pressure that is rounded to zero high up says nothing about the gas.
     gas = np.where(table["p_inf_Pa"] > 0.0, gas, R_AIR) if has_gas else np.full_like(T, R_AIR)
-    thousands = used & (V > 1000.0)
-    if np.count_nonzero(thousands) > 3 and np.allclose(mach[thousands] * FT_S / V[thousands], 1.0, rtol=SAME):
-        true = V[thousands] / np.sqrt(GAMMA * gas[thousands] * T[thousands])
-        if np.max(np.abs(true / mach[thousands] - 1.0)) > 5.0 * SAME:
-            first = int(np.flatnonzero(thousands)[0])
-            rule = "is V / 1000 ft/s, as the Shuttle's literature has it; Mach here is V over the speed of sound"
-            return [f"{table.problem(first, 'mach', rule)}, {true[0]:.4g}; correct the column or omit it"]
+    if thousands := _thousands_of_feet(table, used & (V > 1000.0), np.sqrt(GAMMA * gas * T)):
+        return thousands
     limits = MACH_RANGE if has_gas else MACH_RANGE_STANDARD
     scale = 1.0 if has_gas else np.sqrt(GAMMA)
     ratio = np.divide(mach * np.sqrt(gas * T) * scale, V, out=np.ones_like(V), where=used)
@@ -230,6 +225,19 @@ def mach_problems(table: CsvTable) -> list[str]:
         return []
     expected = f"{outside[1] * np.sqrt(GAMMA) / scale:.3g} of velocity_m_s over the speed of sound"
     return [f"{outside[0]}: is {expected}; check units and order of mach, velocity_m_s and T_inf_K"]
+
+
+def _thousands_of_feet(table: CsvTable, used: BoolArray, sound_m_s: FloatArray) -> list[str]:
+    """Mach numbers that are speeds in 1000 ft/s, at a speed of sound [m/s]."""
+    V, mach = table["velocity_m_s"][used], table["mach"][used]
+    if len(V) <= 3 or not np.allclose(mach * FT_S / V, 1.0, rtol=SAME):
+        return []
+    true = V / sound_m_s[used]
+    if np.max(np.abs(true / mach - 1.0)) <= 5.0 * SAME:
+        return []
+    rule = "is V / 1000 ft/s, as the Shuttle's literature has it; Mach here is V over the speed of sound"
+    first = int(np.flatnonzero(used)[0])
+    return [f"{table.problem(first, 'mach', rule)}, {true[0]:.4g}; correct the column or omit it"]
 
 
 def reynolds_problems(table: CsvTable) -> list[str]:
@@ -299,18 +307,19 @@ def feet_problems(table: CsvTable) -> list[str]:
     used &= np.all([table[n] > 0.0 for n in names], axis=0)
     if not names or np.count_nonzero(used) < LEAST_ROWS:
         return []
-    as_metres, as_feet = (
-        dict(zip(("T_inf_K", "p_inf_Pa", "rho_kg_m3"), us76(scale * z[used]), strict=True)) for scale in (1.0, FOOT_M)
-    )
-    near, far = (
-        [float(np.median(np.abs(np.log(table[n][used] / air[n])))) for n in names] for air in (as_feet, as_metres)
-    )
+    near, far = (_far_from_standard(table, names, used, scale * z[used]) for scale in (FOOT_M, 1.0))
     if max(near) > NEAR_STANDARD or min(far) < FAR_FROM_STANDARD + 3.0 * max(near):
         return []
     first, name = int(np.flatnonzero(used)[0]), names[0]
     rule = f"looks like ft: {name} there is {table[name][first]:.4g}, that of the standard atmosphere at"
     write = f"{FOOT_M * z[first]:.0f} m; give m, or name the column `altitude_ft`"
     return [f"{table.problem(first, 'altitude_m', rule)} {write}"]
+
+
+def _far_from_standard(table: CsvTable, names: Sequence[str], used: BoolArray, z: FloatArray) -> list[float]:
+    """Median distance of columns from the standard atmosphere at altitudes z [m], as the size of a logarithm."""
+    air = dict(zip(("T_inf_K", "p_inf_Pa", "rho_kg_m3"), us76(z), strict=True))
+    return [float(np.median(np.abs(np.log(table[name][used] / air[name])))) for name in names]
 
 
 def speed_problems(table: CsvTable) -> list[str]:
@@ -402,7 +411,7 @@ def _least_carried(table: CsvTable) -> tuple[int, float, float] | None:
         return None
     weight = G0_M_S2 * (EARTH_RADIUS_M / (EARTH_RADIUS_M + z)) ** 2 - V**2 / (EARTH_RADIUS_M + z)
     q = 0.5 * rho * V**2
-    worst: tuple[int, float, float] | None = None
+    windows: list[tuple[int, float, float]] = []
     begin = 0
     while begin + WINDOW_SAMPLES <= len(t):
         end = max(begin + WINDOW_SAMPLES, int(np.searchsorted(t, t[begin] + WINDOW_S)))
@@ -416,10 +425,8 @@ def _least_carried(table: CsvTable) -> tuple[int, float, float] | None:
         needed = float(np.mean(weight[window]) + bend) - LIFT_SLACK_M_S2
         if needed <= 0.0 or rise > THRUST_M_S2:
             continue
-        carried = float(np.max(q[window])) / needed
-        if worst is None or carried < worst[1]:
-            worst = window.start, carried, needed
-    return worst
+        windows.append((window.start, float(np.max(q[window])) / needed, needed))
+    return min(windows, key=lambda window: window[1], default=None)
 
 
 def enthalpy_problems(table: CsvTable) -> list[str]:
@@ -698,21 +705,25 @@ def _path_remarks(table: CsvTable) -> list[str]:
     if np.max(energy) >= 0.5 * HIGH_SPEED_M_S**2 and gained[k] > GAINED:
         remark = f"the energy V^2 / 2 + g h has risen by {100.0 * gained[k]:.3g} % here, and drag lets it fall"
         remarks.append(f"{where}, row {table.lines[k]}, column velocity_m_s: {remark}; was there thrust?")
-    remarks += _track_remarks(table)
-    if _has(table, "gamma_deg"):
-        climb = np.gradient(z, t)
-        moving = V > 300.0
-        if np.any(moving):
-            path = np.degrees(np.arcsin(np.clip(climb[moving] / V[moving], -1.0, 1.0)))
-            stated = table["gamma_deg"][moving]
-            off = float(np.median(np.abs(path - stated)))
-            slope = float(np.sum(path * stated) / max(np.sum(path**2), 1e-9))
-            is_scaled = np.sqrt(np.mean(path**2)) > STEEP_DEG and not GAMMA_SLOPES[0] <= slope <= GAMMA_SLOPES[1]
-            if off > GAMMA_DEG or is_scaled:
-                remark = f"differs by {off:.3g} deg" if off > GAMMA_DEG else f"is {slope:.3g}"
-                relation = f"{'from' if off > GAMMA_DEG else 'of'} the path that altitude, time and speed describe"
-                remarks.append(f"{where}, column gamma_deg: {remark} {relation}; check its unit")
-    return remarks
+    return [*remarks, *_track_remarks(table), *_path_angle_remarks(table)]
+
+
+def _path_angle_remarks(table: CsvTable) -> list[str]:
+    """A path angle that is not that of the change of altitude, or another unit of it."""
+    t, z, V = table["time_s"], table["altitude_m"], table["velocity_m_s"]
+    moving = V > 300.0
+    if not _has(table, "gamma_deg") or not np.any(moving):
+        return []
+    path = np.degrees(np.arcsin(np.clip(np.gradient(z, t)[moving] / V[moving], -1.0, 1.0)))
+    stated = table["gamma_deg"][moving]
+    off = float(np.median(np.abs(path - stated)))
+    slope = float(np.sum(path * stated) / max(np.sum(path**2), 1e-9))
+    is_scaled = np.sqrt(np.mean(path**2)) > STEEP_DEG and not GAMMA_SLOPES[0] <= slope <= GAMMA_SLOPES[1]
+    if off <= GAMMA_DEG and not is_scaled:
+        return []
+    differs = f"differs by {off:.3g} deg from" if off > GAMMA_DEG else f"is {slope:.3g} of"
+    relation = f"{differs} the path that altitude, time and speed describe"
+    return [f"{display_path(table.path)}, column gamma_deg: {relation}; check its unit"]
 
 
 def _track_remarks(table: CsvTable) -> list[str]:

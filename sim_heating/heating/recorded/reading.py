@@ -284,15 +284,20 @@ def _refuse_lacking(
     needed = [name for name in required if name not in columns or name in flight.fields_without_unit]
     if not needed:
         return
-    concerned = {c: f for c, f in flight.fields_without_unit.items() if c in (*required, "rho_kg_m3")}
+    concerned = _units_asked_for(flight, required)
     named_units = {c: (f.name, _example(f, flight.numbers[f.name])) for c, f in concerned.items()}
     # what would follow from a column that is asked for is not asked for itself
-    follows = {*DERIVABLE} - (set() if has_pressure else {"p_surface_Pa"})
+    follows = DERIVABLE if has_pressure else DERIVABLE - {"p_surface_Pa"}
     absent = [column for column in needed if column not in {*named_units, *follows}]
     lacking = " and ".join(filter(None, (_units_in_words(concerned), _columns_in_words(flight, absent))))
     raise InputError(
         f"{display_path(flight.path)}: needs {lacking or ', '.join(needed)}; {statement.of(named_units, absent)}"
     )
+
+
+def _units_asked_for(flight: FlightFields, required: Collection[str]) -> dict[str, FlightField]:
+    """Required columns, and the density, whose fields state no unit."""
+    return {c: f for c, f in flight.fields_without_unit.items() if c in (*required, "rho_kg_m3")}
 
 
 def _misspelt(flight: FlightFields, required: Sequence[str]) -> list[str]:

@@ -9,7 +9,7 @@ Sources: US Standard Atmosphere 1976, eqs. 19 (geopotential height) and 42.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path
 from sim_heating.heating.atmosphere import LOWEST_M, R_AIR, UPPER_BASE_M, geometric, us76
 from sim_heating.heating.recorded.fields import GEOPOTENTIAL
-from sim_heating.heating.recorded.layout import read_fields
+from sim_heating.heating.recorded.layout import FlightFields, read_fields
 
 LEAST_LEVELS = 2
 EDGE_M = 100.0
@@ -94,12 +94,7 @@ def read_sounding(path: Path) -> Sounding:
     c = dict(fields.columns)
     if GEOPOTENTIAL in c and "altitude_m" not in c:
         c["altitude_m"] = np.array([geometric(float(h)) for h in c[GEOPOTENTIAL]])
-    lacking = [f"the unit of `{name}`" for name in fields.without_unit]
-    if "altitude_m" not in {*c, *fields.fields_without_unit}:
-        lacking.append("an altitude")
-    if len({"T_inf_K", "p_inf_Pa", "rho_kg_m3"} & set(c)) < 2 and not fields.without_unit:
-        lacking.append("two of temperature, pressure and density")
-    if lacking:
+    if lacking := _lacking(fields, c):
         raise InputError(
             f"{display_path(path)}: a sounding needs {', '.join(lacking)}; write names with units, as "
             "`Altitude (km)`, `Temperature (K)`, `Pressure (hPa)`"
@@ -114,6 +109,19 @@ def read_sounding(path: Path) -> Sounding:
     c.setdefault("rho_kg_m3", c["p_inf_Pa"] / (R_AIR * c["T_inf_K"]))
     _check_air(path, c)
     return Sounding(path, c["altitude_m"], c["T_inf_K"], c["p_inf_Pa"], c["rho_kg_m3"])
+
+
+def _lacking(fields: FlightFields, columns: Collection[str]) -> list[str]:
+    """What a file lacks to be a sounding, in words.
+
+    columns : that it has, the geometric altitude included
+    """
+    lacking = [f"the unit of `{name}`" for name in fields.without_unit]
+    if "altitude_m" not in {*columns, *fields.fields_without_unit}:
+        lacking.append("an altitude")
+    if len({"T_inf_K", "p_inf_Pa", "rho_kg_m3"} & set(columns)) < 2 and not fields.without_unit:
+        lacking.append("two of temperature, pressure and density")
+    return lacking
 
 
 def _check_air(path: Path, c: Mapping[str, FloatArray]) -> None:

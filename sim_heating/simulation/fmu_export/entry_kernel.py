@@ -11,31 +11,11 @@ import math
 
 from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.atmosphere import HIGHEST_M
-from sim_heating.simulation.fmu_export.parts.library import (
-    GOOD,
-    I_HEAD,
-    INPUTS,
-    INPUTS_NEXT,
-    INPUTS_NOW,
-    MODE,
-    N_INPUTS,
-    NEXT,
-    NOW,
-    RESUME,
-    START,
-    at,
-)
+from sim_heating.simulation.fmu_export.parts import library
+from sim_heating.simulation.fmu_export.parts.library import GOOD, I_HEAD, at
+from sim_heating.trajectory import point_mass
 from sim_heating.trajectory.entry3dof import DEEPEST_M
 from sim_heating.trajectory.manoeuvres import CHANNEL, ENTRY, PITCH_MODE, PLAN, TRIGGER
-from sim_heating.trajectory.point_mass import (
-    JETS,
-    Controls,
-    T,
-    advance_kernel,
-    first_state_kernel,
-    observe_kernel,
-    runge_kutta_step,
-)
 
 (PILOT, MANOEUVRES, CHOICES, INITIAL, FLIGHT, GUIDANCE, SCRIPT, AERO, STATE, WORK, ROW, OPTIONS) = range(
     I_HEAD, I_HEAD + 12
@@ -72,7 +52,7 @@ def _choose(R, N) -> None:
 def _observe(R, N, tables) -> int:
     """Write the frame and what guidance uses; its problem, GOOD without one."""
     row = at(R, N[ROW])
-    observe_kernel(at(R, N[STATE]), at(R, N[FLIGHT]), at(tables, N[AERO]), at(R, N[WORK]), row, True)
+    point_mass.observe_kernel(at(R, N[STATE]), at(R, N[FLIGHT]), at(tables, N[AERO]), at(R, N[WORK]), row, True)
     if not (math.isfinite(row[ALTITUDE_IN_ROW]) and math.isfinite(row[SPEED_IN_ROW])):
         return NOT_FINITE
     if row[ALTITUDE_IN_ROW] > HIGHEST_M:
@@ -85,7 +65,7 @@ def _observe(R, N, tables) -> int:
 @njit
 def _follow_inputs(R, N, tables, fraction: float, dt: float) -> None:
     """One frame with the commands of the inputs, a share of the way through the communication step at its end."""
-    state, before, after = at(R, N[STATE]), at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT])
+    state, before, after = at(R, N[STATE]), at(R, N[library.INPUTS_NOW]), at(R, N[library.INPUTS_NEXT])
     alpha = before[IN_ALPHA] + fraction * (after[IN_ALPHA] - before[IN_ALPHA])
     bank = before[IN_BANK] + fraction * (after[IN_BANK] - before[IN_BANK])
     beta = before[IN_BETA] + fraction * (after[IN_BETA] - before[IN_BETA])
@@ -95,28 +75,28 @@ def _follow_inputs(R, N, tables, fraction: float, dt: float) -> None:
     if fraction == 1.0:
         alpha, bank, beta = after[IN_ALPHA], after[IN_BANK], after[IN_BETA]
         elevon, flap = after[IN_ELEVON], after[IN_BODYFLAP]
-    state[JETS] = min(max(after[IN_JETS], 0.0), 1.0)
-    controls = Controls(alpha, bank, beta, elevon, flap)
-    runge_kutta_step(state, at(R, N[FLIGHT]), at(tables, N[AERO]), at(R, N[WORK]), dt, controls)
+    state[point_mass.JETS] = min(max(after[IN_JETS], 0.0), 1.0)
+    controls = point_mass.Controls(alpha, bank, beta, elevon, flap)
+    point_mass.runge_kutta_step(state, at(R, N[FLIGHT]), at(tables, N[AERO]), at(R, N[WORK]), dt, controls)
 
 
 @inline_always
 def _start(R, N, tables) -> int:
     """Set the initial state on the schedule of guidance."""
-    for k in range(N[N_INPUTS]):
-        R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
+    for k in range(N[library.N_INPUTS]):
+        R[N[library.INPUTS_NEXT] + k] = R[N[library.INPUTS] + k]
     _choose(R, N)
     state = at(R, N[STATE])
-    first_state_kernel(at(R, N[INITIAL]), at(R, N[FLIGHT]), at(R, N[GUIDANCE]), N[MANOEUVRES], state)
+    point_mass.first_state_kernel(at(R, N[INITIAL]), at(R, N[FLIGHT]), at(R, N[GUIDANCE]), N[MANOEUVRES], state)
     # A host may start at a time other than 0.
-    state[T] = R[NOW]
+    state[point_mass.T] = R[library.NOW]
     return _observe(R, N, tables)
 
 
 @inline_always
 def _step(R, N, tables) -> int:
     """Advance the flight to the end of a communication step."""
-    length = R[NEXT] - R[NOW]
+    length = R[library.NEXT] - R[library.NOW]
     frames = max(math.ceil(length / R[N[OPTIONS] + FRAME_S] - 1e-9), 1)
     dt, outcome = length / frames, GOOD
     state = at(R, N[STATE])
@@ -125,10 +105,10 @@ def _step(R, N, tables) -> int:
             _follow_inputs(R, N, tables, (frame + 1.0) / frames, dt)
         else:
             flight, guidance, script = at(R, N[FLIGHT]), at(R, N[GUIDANCE]), at(R, N[SCRIPT])
-            advance_kernel(state, flight, guidance, script, at(tables, N[AERO]), dt, at(R, N[WORK]))
+            point_mass.advance_kernel(state, flight, guidance, script, at(tables, N[AERO]), dt, at(R, N[WORK]))
         # The host's own time, so that the rounding of the frames does not accumulate.
         if frame == frames - 1:
-            state[T] = R[NEXT]
+            state[point_mass.T] = R[library.NEXT]
         outcome = _observe(R, N, tables)
         if outcome != GOOD:
             return outcome
@@ -137,8 +117,8 @@ def _step(R, N, tables) -> int:
 
 def advance(R, N, A, tables) -> int:
     """The model, as library.py describes it; all of its R and N is kept, so that nothing is to be done to resume."""
-    if N[MODE] == RESUME:
+    if N[library.MODE] == library.RESUME:
         return GOOD
-    if N[MODE] == START:
+    if N[library.MODE] == library.START:
         return _start(R, N, tables)
     return _step(R, N, tables)

@@ -16,28 +16,8 @@ import numpy as np
 from sim_heating.base.conditions import FRAME, RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.text import suggestion
-from sim_heating.base.kernels.block import (
-    EFFECT_CODES,
-    EFFECT_PARAMETERS,
-    EFFECT_SLOTS,
-    EFFECT_WIDTH,
-    END,
-    GAPS,
-    IN_DEPTH,
-    INTS_PER_NODE,
-    IS_FACE,
-    LANES,
-    LOG10_RE,
-    N_CONDITIONS,
-    N_NODES,
-    N_PARAMETERS,
-    NODE_INTS,
-    RATIO_TABLE,
-    REFERENCE,
-    conditions_at,
-    node_row,
-    parameters_at,
-)
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.compiler import CACHE
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function
 from sim_heating.base.limits import LIMITS
@@ -60,24 +40,12 @@ from sim_heating.inputs.vehicle import ControlPoint, Vehicle, walls_upstream
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel, elements_of, kernel_effects, stack_values
 from sim_heating.simulation.fmu_export import heating_kernel as k
+from sim_heating.simulation.fmu_export.parts import library
 from sim_heating.simulation.fmu_export.parts.image import Image, Kind, Problem, Role, SampledMap, Variable, identifier
-from sim_heating.simulation.fmu_export.parts.library import (
-    INPUTS_NEXT,
-    INPUTS_NOW,
-    MODEL_SIGNATURE,
-    TARGETS,
-    TIMING,
-    TIMING_INTEGER,
-    CompilationUnit,
-    Target,
-    compiler_command,
-    missing_functions,
-    object_files,
-    wrapper_objects,
-)
+from sim_heating.simulation.fmu_export.parts.library import MODEL_SIGNATURE, TARGETS, TIMING, CompilationUnit, Target
 from sim_heating.simulation.fmu_export.parts.packer import ImagePacker, Input
 from sim_heating.simulation.plugin import HeatingPlugin
-from sim_heating.simulation.plugin_kernel import BY_ALTITUDE, FLOW_AT, SWEEP
+from sim_heating.simulation.plugin_kernel import BY_ALTITUDE, CODE, FLOW_AT, SWEEP
 from sim_heating.thermal.frame import compiled
 from sim_heating.thermal.mesh import Mesh
 
@@ -164,10 +132,10 @@ def heating_image(
     upstream = {p.name: p for p in walls_upstream(vehicle, [vehicle.control_point(name) for name in names])}
     vehicle, names = replace(vehicle, control_points=vehicle.control_points | upstream), [*names, *upstream]
     plugin = HeatingPlugin(vehicle, names, nodes=nodes)
-    library = _library_effects(plugin.ensemble.models)
+    known = _library_effects(plugin.ensemble.models)
     image = Image(f"{identifier(vehicle.name)}_heating", f"Heating of {vehicle.title}", 1.0)
-    _HeatingPacker(image, vehicle, plugin, library, columns, known_timings.index(input_timing) + 1).pack()
-    return HeatingModel(image, library)
+    _HeatingPacker(image, vehicle, plugin, known, columns, known_timings.index(input_timing) + 1).pack()
+    return HeatingModel(image, known)
 
 
 def _library_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
@@ -198,7 +166,7 @@ def heating_units(model_effects: tuple[Effect, ...]) -> tuple[CompilationUnit, .
 
 def _refuse_unportable(effect: Effect) -> None:
     """raises : InputError naming a user-defined effect that needs what a host without Python does not have"""
-    missing = missing_functions(CompilationUnit("effect", KERNEL, lambda: compiled_kernel(effect)))
+    missing = library.missing_functions(CompilationUnit("effect", KERNEL, lambda: compiled_kernel(effect)))
     if missing:
         hint = "a kernel takes and gives numbers, and may call the mathematical functions of C"
         raise InputError(
@@ -231,7 +199,7 @@ def compiling_objects(targets: Sequence[Target]) -> Iterator[None]:
         return
     # A missing compiler is reported before minutes of compilation, not after.
     for target in targets:
-        compiler_command(target)
+        library.compiler_command(target)
     names = [name for name, target in TARGETS.items() if target in targets]
     command = [
         sys.executable,
@@ -257,13 +225,13 @@ def compile_in_second_process(platforms: Sequence[str]) -> None:
     targets = [TARGETS[name] for name in platforms]
     _compile_objects(_units_of_second_process(), targets)
     for target in targets:
-        wrapper_objects(target)
+        library.wrapper_objects(target)
 
 
 def _compile_objects(units: Sequence[CompilationUnit], targets: Sequence[Target]) -> None:
     for target in targets:
         for unit in units:
-            object_files(unit, target)
+            library.object_files(unit, target)
 
 
 def quoted(name: str) -> str:
@@ -286,12 +254,12 @@ class _HeatingPacker(ImagePacker):
         image: Image,
         vehicle: Vehicle,
         plugin: HeatingPlugin,
-        library: tuple[Effect, ...],
+        known: tuple[Effect, ...],
         columns: bool,
         timing: int,
     ):
         super().__init__(image, k.N_MODEL)
-        self.vehicle, self.plugin, self.known, self.columns, self.timing = vehicle, plugin, library, columns, timing
+        self.vehicle, self.plugin, self.known, self.columns, self.timing = vehicle, plugin, known, columns, timing
         self.ensemble: Ensemble = plugin.ensemble
         added = ("q_add_W_m2", "T_surroundings_K")
         self.inputs = [*FRAME[1:], *added, *(("h_ref_kg_m2_s", "H_r_J_kg") if columns else ())]
@@ -312,8 +280,8 @@ class _HeatingPacker(ImagePacker):
             k.INTS: image.add_integers(self._integers()),
             k.STATE: image.add_numbers(e.state, aligned=True),
             k.TABLE: image.add_tables(e.table),
-            k.VECTORS: image.add_numbers(np.zeros((len(e.lanes), k.N_CONDITIONS))),
-            k.VECTORS_THEN: image.add_numbers(np.zeros((len(e.lanes), N_CONDITIONS))),
+            k.VECTORS: image.add_numbers(np.zeros((len(e.lanes), block.N_CONDITIONS))),
+            k.VECTORS_THEN: image.add_numbers(np.zeros((len(e.lanes), block.N_CONDITIONS))),
             k.FRAMES: image.add_numbers(np.zeros(len(FRAME))),
             k.STARTED_FROM: image.add_numbers(np.zeros(len(FRAME))),
             k.BETWEEN: image.add_numbers(np.zeros(1 + len(self.inputs))),
@@ -324,14 +292,14 @@ class _HeatingPacker(ImagePacker):
         self._pack_points()
         image.set_integers(list(self.head.items()))
         n = len(self.inputs)
-        for first in (self.head[INPUTS_NEXT], self.head[INPUTS_NOW]):
+        for first in (self.head[library.INPUTS_NEXT], self.head[library.INPUTS_NOW]):
             image.problems += [Problem(name, LIMITS[name][2], first + i) for i, name in enumerate(self.inputs)]
         image.problems += [Problem(m.name, "its thermal step did not converge; take shorter ones") for m in e.models]
         assert len(image.problems) == 2 * n + len(e.models)
 
     def _name_reynolds_number(self) -> None:
         """Add the one variable of the ratio tables that is no input; all points have the same one."""
-        offset = self.head[k.VECTORS] + LOG10_RE
+        offset = self.head[k.VECTORS] + block.LOG10_RE
         # Computed in a step, like all vectors, but read between two steps: another instance may have used them then.
         self.image.kept_numbers.append((offset, 1))
         text = "base-10 logarithm of the freestream Reynolds number on the vehicle's length, at the end of a step"
@@ -342,15 +310,17 @@ class _HeatingPacker(ImagePacker):
         image, e = self.image, self.ensemble
         for g, (first, _, ints, _) in enumerate(e.groups):
             state, integers = self.head[k.STATE] + int(first), self.head[k.INTS] + int(ints)
-            n = int(e.memory.integers(g)[N_NODES])
+            n = int(e.memory.integers(g)[block.N_NODES])
             points = len(np.unique(e.lanes[g * LANES : (g + 1) * LANES]))
-            image.kept_numbers += [(state + row * LANES, points) for row in k.KEPT_ROWS]
-            image.kept_numbers.append((state + conditions_at(END, 0), points * N_CONDITIONS))
+            image.kept_numbers += [(state + row * LANES, points) for row in block.KEPT_ROWS]
+            image.kept_numbers.append((state + block.conditions_at(block.END, 0), points * block.N_CONDITIONS))
             image.kept_numbers += [
-                (state + node_row(i, row).start, points) for i in range(n) for row in k.KEPT_NODE_ROWS
+                (state + block.node_row(i, row).start, points) for i in range(n) for row in k.KEPT_NODE_ROWS
             ]
-            image.kept_integers += [(integers + flag, 1) for flag in (IN_DEPTH, GAPS)]
-            image.kept_integers += [(integers + NODE_INTS + i * INTS_PER_NODE + IS_FACE, 1) for i in range(n)]
+            image.kept_integers += [(integers + flag, 1) for flag in (block.IN_DEPTH, block.GAPS)]
+            image.kept_integers += [
+                (integers + block.NODE_INTS + i * block.INTS_PER_NODE + block.IS_FACE, 1) for i in range(n)
+            ]
 
     def _integers(self) -> np.ndarray[Any, Any]:
         """The ensemble's integers with the codes that effects have in the library."""
@@ -359,7 +329,7 @@ class _HeatingPacker(ImagePacker):
             J = ints[row[2] : row[3]]
             for lane in range(LANES):
                 model = self.ensemble.models[self.ensemble.lanes[g * LANES + lane]]
-                codes = J[EFFECT_CODES + lane * EFFECT_SLOTS :][: len(kernel_effects(model))]
+                codes = J[block.EFFECT_CODES + lane * block.EFFECT_SLOTS :][: len(kernel_effects(model))]
                 # In a process a code is the address of a kernel; a library has its own numbering.
                 codes[:] = [self.known.index(used.effect) for used in kernel_effects(model)]
         return ints
@@ -376,7 +346,7 @@ class _HeatingPacker(ImagePacker):
         options = self.image.keep_numbers([self.plugin.longest_step_s])
         self.add_choice("input_timing", Role.TUNABLE, TIMING, "what the inputs of a step are", TIMINGS)
         text = "in place of input_timing, for hosts without enumerations: 1 held, 2 reached, 0 as input_timing"
-        self.add_integer("input_timing_integer", Role.TUNABLE, TIMING_INTEGER, text, 0, len(TIMINGS))
+        self.add_integer("input_timing_integer", Role.TUNABLE, library.TIMING_INTEGER, text, 0, len(TIMINGS))
         longest = "longest thermal step; a longer one of the host is divided"
         self.add_number("longest_step_s", Role.TUNABLE, options, longest, "s", 0.01, 60.0, 1.0)
         self.head |= {k.OPTIONS: options, TIMING: self.timing}
@@ -386,7 +356,7 @@ class _HeatingPacker(ImagePacker):
         host[: SWEEP + 1] = self.plugin._host[: SWEEP + 1]
         host[BY_ALTITUDE] = self.plugin._host[BY_ALTITUDE]
         if self.columns:
-            host[k.CODE] = COLUMNS
+            host[CODE] = COLUMNS
         numbers, tables = self.plugin.constants
         # Tables of a library are one array, as those that a host sets lie outside it; laminar ones are those of the
         # lanes, which the model looks up when it starts.
@@ -408,9 +378,8 @@ class _HeatingPacker(ImagePacker):
             zip(self.plugin.points, e.models, e.meshes, e.lane_offsets, strict=True)
         ):
             row = R[k.POINT_WIDTH * i : k.POINT_WIDTH * (i + 1)]
-            block = e.memory.block(lane.group)
-            p = parameters_at(lane.lane)
-            row[:N_PARAMETERS] = block[p : p + N_PARAMETERS]
+            p = block.parameters_at(lane.lane)
+            row[: block.N_PARAMETERS] = e.memory.block(lane.group)[p : p + block.N_PARAMETERS]
             row[k.P_STACK : k.P_STACK + k.STACK_WIDTH] = stack_values(model)
             limits = point.limits
             row[k.P_SURFACE_LIMIT] = NO_LIMIT_K if limits.surface_K is None else limits.surface_K
@@ -482,7 +451,7 @@ class _HeatingPacker(ImagePacker):
             text = "reference condition of the derivatives of the ratio"
             lower, upper, _ = LIMITS[variable]
             self.add_number(
-                f"{name}.reference.{variable}", Role.TUNABLE, numbers + REFERENCE + i, text, unit, lower, upper
+                f"{name}.reference.{variable}", Role.TUNABLE, numbers + block.REFERENCE + i, text, unit, lower, upper
             )
         for output, limit, offset in (
             ("surface", declared.surface_K, k.P_SURFACE_LIMIT),
@@ -493,7 +462,7 @@ class _HeatingPacker(ImagePacker):
                 self.add_number(f"{name}.limit.{output}_K", Role.TUNABLE, numbers + offset, text, "K", 0.0, NO_LIMIT_K)
         uses = kernel_effects(model)
         for slot, used in enumerate(uses):
-            self._name_effect(name, used, uses[:slot], numbers + EFFECT_PARAMETERS + slot * EFFECT_WIDTH)
+            self._name_effect(name, used, uses[:slot], numbers + block.EFFECT_PARAMETERS + slot * block.EFFECT_WIDTH)
 
     def _declare_direct_outputs(self, first: int, emitting: bool) -> None:
         """Declare what the heating of a point depends on, whose variables begin at `first`; temperatures are the state.
@@ -506,11 +475,15 @@ class _HeatingPacker(ImagePacker):
         parameters = tuple(name for name in settable if name not in after)
         for i, v in enumerate(variables[first:], start=first):
             if v.role is Role.OUTPUT and ".heating." in v.name:
-                inside = v.name.endswith(".radiated_W_m2") and not emitting
-                # Surroundings by altitude follow from altitude and density.
-                around = ("altitude_m", "rho_kg_m3") if self.plugin._host[BY_ALTITUDE] else ()
-                inputs = (*around, "T_surroundings_K") if inside else ("time", *self.inputs)
-                variables[i] = replace(v, depends=inputs, parameters=parameters)
+                is_of_wall = v.name.endswith(".radiated_W_m2") and not emitting
+                depends = self._inputs_of_radiation() if is_of_wall else ("time", *self.inputs)
+                variables[i] = replace(v, depends=depends, parameters=parameters)
+
+    def _inputs_of_radiation(self) -> tuple[str, ...]:
+        """Inputs that the radiation of a wall depends on beside its temperature."""
+        # Surroundings by altitude follow from altitude and density.
+        around = ("altitude_m", "rho_kg_m3") if self.plugin._host[BY_ALTITUDE] else ()
+        return (*around, "T_surroundings_K")
 
     def _name_effect(self, name: str, used: EffectUse, before: Sequence[EffectUse], offset: int) -> None:
         earlier = sum(u.effect.name == used.effect.name for u in before)
@@ -553,10 +526,10 @@ class _HeatingPacker(ImagePacker):
         e, name = self.ensemble, f"{quoted(point.name)}.ratio_table"
         i = self.plugin.points.index(point)
         lanes = np.flatnonzero(e.lanes[lane.group * LANES : (lane.group + 1) * LANES] == i)
-        entries = self.head[k.INTS] + e.groups[lane.group, 2] + RATIO_TABLE + lanes
+        entries = self.head[k.INTS] + e.groups[lane.group, 2] + block.RATIO_TABLE + lanes
         reference = self.vehicle.heating.reference
         basis = [self.image.add_text(t) for t in (reference, point.recovery.kind, recovery_name(None, reference))]
-        inside = int(e.memory.integers(lane.group)[RATIO_TABLE + lanes[0]])
+        inside = int(e.memory.integers(lane.group)[block.RATIO_TABLE + lanes[0]])
         about = [*basis, inside, len(entries), *entries]
         first = self.image.add_integers(about)
         text = "path of a ratio table (CSV) in place of the one inside"

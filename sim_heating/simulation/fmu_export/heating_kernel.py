@@ -14,51 +14,8 @@ from numba import carray
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import FRAME
-from sim_heating.base.kernels.block import (
-    ADDED,
-    BACK_EPS,
-    BACK_H,
-    BACK_T,
-    CURVE,
-    E_START,
-    EMISSIVITY_TABLE,
-    END,
-    ENERGY_IN,
-    ENERGY_OUT,
-    FACTOR_EPS,
-    FAILED,
-    FILM,
-    GAPS,
-    H_REF,
-    HEAD_ROWS,
-    ITERATIONS,
-    LAG_PAST,
-    LANES,
-    LAST_STEP,
-    N_CONDITIONS,
-    N_EMITTING,
-    N_NODES,
-    N_PARAMETERS,
-    NEGATIVE,
-    NET,
-    NO_TABLE,
-    NODE_ROWS,
-    OUTSIDE,
-    Q_ADD,
-    RATE,
-    RATIO_TABLE,
-    RECOVERY_ENTHALPY,
-    RECOVERY_RISE,
-    SLOPE,
-    SOURCE,
-    STAGE_IN,
-    STAGE_OUT,
-    STAGE_SURROUNDINGS4,
-    STEPS,
-    SURFACE_SHARE,
-    SURROUNDINGS4,
-)
-from sim_heating.base.kernels.block import T as TEMPERATURE
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.base.kernels.lag import lag_step
 from sim_heating.heating.edge_flow import LAMINAR_AT, LARGEST
@@ -68,42 +25,11 @@ from sim_heating.heating.reference.models import COLUMNS
 from sim_heating.heating.reference.recovery import NO_INCIDENCE, point_recovery_kernel
 from sim_heating.inputs.sensor_model import indicated_kernel
 from sim_heating.march.frames import BLOCK_END, BLOCK_START, END_STAGE, INTS_END, INTS_START, begin_groups
-from sim_heating.simulation.fmu_export.parts.library import (
-    CHANGED,
-    GOOD,
-    I_HEAD,
-    INPUTS,
-    INPUTS_NEXT,
-    INPUTS_NOW,
-    MODE,
-    N_INPUTS,
-    NEXT,
-    NOW,
-    RESUME,
-    START,
-    at,
-)
-from sim_heating.simulation.plugin_kernel import (
-    AROUND,
-    CODE,
-    F_ALPHA,
-    F_BODYFLAP,
-    F_ELEVON,
-    F_TIME,
-    F_VELOCITY,
-    FLOW_AT,
-    RECOVERY_AT,
-    PointConstants,
-    advance_behind_walls,
-    derive_conditions,
-    follow_upstream_walls,
-    parts_of_frame,
-    write_frame_between,
-)
-from sim_heating.simulation.plugin_kernel import POINT_WIDTH as POINT_CONSTANTS
+from sim_heating.simulation import plugin_kernel
+from sim_heating.simulation.fmu_export.parts import library
+from sim_heating.simulation.fmu_export.parts.library import GOOD, I_HEAD, at
 from sim_heating.thermal.elements import STACK_WIDTH, Elements, set_point
 from sim_heating.thermal.faces import SIGMA, emittance
-from sim_heating.thermal.frame import STAGE_ROWS
 
 # Integers of the model, after those of library.py: numbers of entries, and places of arrays in R or N.
 N_POINTS, N_ROWS, N_GROUPS, N_STATE, N_TABLE, N_INTS, N_SENSORS = range(I_HEAD, I_HEAD + 7)
@@ -123,7 +49,7 @@ P_GROUP, P_LANE, P_LANES, P_ELEMENTS, P_LAYERS, P_LENGTHS, P_DENSITIES = range(7
 P_BONDLINE, P_INSULATION, P_BOTTOM, P_SLOTS, P_STRETCH = range(7, 12)
 POINT_INTS_WIDTH = 12
 # A point's numbers: parameters as in a lane of the kernel (base/kernels/block.py), those of its stack, limits, outputs.
-P_STACK = N_PARAMETERS
+P_STACK = block.N_PARAMETERS
 P_SURFACE_LIMIT, P_BONDLINE_LIMIT = P_STACK + STACK_WIDTH, P_STACK + STACK_WIDTH + 1
 P_OUT = P_STACK + STACK_WIDTH + 2
 PARAMETERS_WIDTH = P_STACK + STACK_WIDTH
@@ -136,12 +62,7 @@ S_PLACE, S_NUMBERS, S_CALIBRATION, S_COEFFICIENTS, S_BEFORE = range(5)
 SENSOR_WIDTH = 5
 S_GAIN, S_BIAS, S_INDICATED, S_TAU, S_LAGGED = range(5)
 
-_OF_FACES = (SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS, FAILED, ITERATIONS, OUTSIDE, NEGATIVE)
-_OF_HEAT = (STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT, LAG_PAST, SURFACE_SHARE, LAST_STEP, STEPS)
-KEPT_ROWS = (*(row + 2 for row in STAGE_ROWS), *_OF_FACES, *_OF_HEAT)
-"""Scalar rows of a block that belong to the state: of a quantity with one row a stage that of the end of the step. The
-conditions of that stage are kept as well; all of them of the first lane of each point."""
-KEPT_NODE_ROWS = (TEMPERATURE, RATE, E_START, NET, CURVE)
+KEPT_NODE_ROWS = (block.T, block.RATE, block.E_START, block.NET, block.CURVE)
 """Rows of a node that belong to the state. All others follow from parameters, or are written in a step before they are
 read, or are caches with bounds."""
 
@@ -176,7 +97,7 @@ def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int, every: boo
         lengths, densities = carray(at(R, point[P_LENGTHS]), n), carray(at(R, point[P_DENSITIES]), n)
         stack = carray(at(numbers, P_STACK), STACK_WIDTH)
         first, last = point[P_LANE], point[P_LANE] + point[P_LANES]
-        heating = carray(numbers, N_PARAMETERS)
+        heating = carray(numbers, block.N_PARAMETERS)
         stretch = carray(at(R, point[P_STRETCH]), n)
         elements = Elements(layers, lengths, densities, slots, stretch, point[P_INSULATION], point[P_BOTTOM])
         set_point(B, J, first, last, elements, stack, heating)
@@ -187,28 +108,28 @@ def _derive_vectors(R, N, T, inputs, time: float) -> None:
     """Condition vectors of all lanes from inputs."""
     n = N[N_ROWS]
     frame = carray(at(R, N[FRAMES]), len(FRAME))
-    frame[F_TIME] = time
+    frame[plugin_kernel.F_TIME] = time
     for k in range(len(FRAME) - 1):
         frame[1 + k] = inputs[k]
-    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
-    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
-    points = PointConstants(numbers, carray(T, N[N_TABLES]))
+    vectors = carray(at(R, N[VECTORS]), (n, block.N_CONDITIONS))
+    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], plugin_kernel.POINT_WIDTH))
+    points = plugin_kernel.PointConstants(numbers, carray(T, N[N_TABLES]))
     host = carray(at(R, N[HOST]), HOST_WIDTH)
-    host[AROUND] = inputs[F_AROUND - 1]
-    derive_conditions(frame, host, points, carray(at(N, N[LANE_POINTS]), n), vectors)
+    host[plugin_kernel.AROUND] = inputs[F_AROUND - 1]
+    plugin_kernel.derive_conditions(frame, host, points, carray(at(N, N[LANE_POINTS]), n), vectors)
     for i in range(n):
-        vectors[i, Q_ADD] = inputs[F_Q_ADD - 1]
-        if host[CODE] == COLUMNS:
-            vectors[i, H_REF] = inputs[F_H_REF - 1]
+        vectors[i, block.Q_ADD] = inputs[F_Q_ADD - 1]
+        if host[plugin_kernel.CODE] == COLUMNS:
+            vectors[i, block.H_REF] = inputs[F_H_REF - 1]
             # The host's enthalpy is that of the flow; a point with an edge recovers less of it.
-            vectors[i, RECOVERY_ENTHALPY], vectors[i, RECOVERY_RISE], _ = point_recovery_kernel(
+            vectors[i, block.RECOVERY_ENTHALPY], vectors[i, block.RECOVERY_RISE], _ = point_recovery_kernel(
                 inputs[F_H_R - 1],
-                frame[F_VELOCITY],
-                frame[F_ALPHA],
-                frame[F_ELEVON],
-                frame[F_BODYFLAP],
+                frame[plugin_kernel.F_VELOCITY],
+                frame[plugin_kernel.F_ALPHA],
+                frame[plugin_kernel.F_ELEVON],
+                frame[plugin_kernel.F_BODYFLAP],
                 numbers[at(N, N[LANE_POINTS])[i]],
-                RECOVERY_AT,
+                plugin_kernel.RECOVERY_AT,
                 NO_INCIDENCE,
             )
 
@@ -219,10 +140,10 @@ def _begin(R, N, A, T, inputs, time: float) -> None:
     n = N[N_ROWS]
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
-    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
-    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
-    points = PointConstants(numbers, carray(T, N[N_TABLES]))
-    follow_upstream_walls(state, points, carray(at(N, N[LANE_POINTS]), n), vectors, 0, n)
+    vectors = carray(at(R, N[VECTORS]), (n, block.N_CONDITIONS))
+    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], plugin_kernel.POINT_WIDTH))
+    points = plugin_kernel.PointConstants(numbers, carray(T, N[N_TABLES]))
+    plugin_kernel.follow_upstream_walls(state, points, carray(at(N, N[LANE_POINTS]), n), vectors, 0, n)
     table = carray(at(T, N[TABLE]), N[N_TABLE])
     begin_groups(state, ints, table, A[0], A[1], groups, vectors)
 
@@ -234,16 +155,16 @@ def _advance(R, N, A, T, inputs, time: float, dt: float) -> None:
     n = N[N_ROWS]
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
-    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
-    then = carray(at(R, N[VECTORS_THEN]), (n, N_CONDITIONS))
+    vectors = carray(at(R, N[VECTORS]), (n, block.N_CONDITIONS))
+    then = carray(at(R, N[VECTORS_THEN]), (n, block.N_CONDITIONS))
     for i in range(n):
-        for c in range(N_CONDITIONS):
+        for c in range(block.N_CONDITIONS):
             then[i, c] = vectors[i, c]
     steps = max(math.ceil(dt / R[N[OPTIONS] + LONGEST_STEP] - 1e-9), 1)
     table = carray(at(T, N[TABLE]), N[N_TABLE])
-    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
-    points, lanes = PointConstants(numbers, carray(T, N[N_TABLES])), carray(at(N, N[LANE_POINTS]), n)
-    advance_behind_walls(state, ints, table, A[0], A[1], groups, points, lanes, vectors, then, dt, steps)
+    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], plugin_kernel.POINT_WIDTH))
+    points, lanes = plugin_kernel.PointConstants(numbers, carray(T, N[N_TABLES])), carray(at(N, N[LANE_POINTS]), n)
+    plugin_kernel.advance_behind_walls(state, ints, table, A[0], A[1], groups, points, lanes, vectors, then, dt, steps)
 
 
 @njit
@@ -268,30 +189,30 @@ def _lag_sensors(R, N, dt: float) -> None:
 @inline_always
 def _advance_through(R, N, A, T, now, then) -> None:
     """Advance from the inputs at the start of a step to those at its end, a long one in parts as the plug-in does."""
-    n, width = N[N_INPUTS], len(FRAME)
+    n, width = N[library.N_INPUTS], len(FRAME)
     first, last = carray(at(R, N[STARTED_FROM]), width), carray(at(R, N[FRAMES]), width)
     between, inputs = carray(at(R, N[BETWEEN]), width), at(R, N[BETWEEN] + 1)
-    parts, time = parts_of_frame(R[NEXT] - R[NOW]), R[NOW]
+    parts, time = plugin_kernel.parts_of_frame(R[library.NEXT] - R[library.NOW]), R[library.NOW]
     for k in range(1, parts):
         # `_derive_vectors` writes the frame that it derives from.
         for i in range(width - 1):
             first[1 + i], last[1 + i] = now[i], then[i]
-        first[F_TIME], last[F_TIME] = R[NOW], R[NEXT]
+        first[plugin_kernel.F_TIME], last[plugin_kernel.F_TIME] = R[library.NOW], R[library.NEXT]
         fraction = k / parts
-        write_frame_between(first, last, fraction, between)
+        plugin_kernel.write_frame_between(first, last, fraction, between)
         for i in range(width - 1, n):
             inputs[i] = now[i] + fraction * (then[i] - now[i])
         # Surroundings of 0 K stand for declared ones, to which no line leads.
         if now[F_AROUND - 1] == 0.0 or then[F_AROUND - 1] == 0.0:
             inputs[F_AROUND - 1] = then[F_AROUND - 1]
-        until = between[F_TIME]
+        until = between[plugin_kernel.F_TIME]
         _hold_sensors(R, N)
         _advance(R, N, A, T, inputs, until, until - time)
         _lag_sensors(R, N, until - time)
         time = until
     _hold_sensors(R, N)
-    _advance(R, N, A, T, then, R[NEXT], R[NEXT] - time)
-    _lag_sensors(R, N, R[NEXT] - time)
+    _advance(R, N, A, T, then, R[library.NEXT], R[library.NEXT] - time)
+    _lag_sensors(R, N, R[library.NEXT] - time)
 
 
 @njit
@@ -300,9 +221,9 @@ def _follow_ratio_tables(R, N, T) -> None:
     for i in range(N[N_POINTS]):
         point = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
         ints = N[INTS] + N[N[GROUPS] + 4 * point[P_GROUP] + INTS_START]
-        table = N[ints + RATIO_TABLE + point[P_LANE]]
-        if table != NO_TABLE:
-            numbers = at(R, N[CONSTANTS] + POINT_CONSTANTS * i + FLOW_AT)
+        table = N[ints + block.RATIO_TABLE + point[P_LANE]]
+        if table != block.NO_TABLE:
+            numbers = at(R, N[CONSTANTS] + plugin_kernel.POINT_WIDTH * i + plugin_kernel.FLOW_AT)
             numbers[LAMINAR_AT], numbers[LARGEST] = table, largest_ratio(T, table)
 
 
@@ -322,7 +243,7 @@ def _clear_counts(R, N) -> None:
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     for g in range(N[N_GROUPS]):
         B = at(R, N[STATE] + groups[g, BLOCK_START])
-        for row in (FAILED, ITERATIONS, STEPS, OUTSIDE, NEGATIVE, ENERGY_IN, ENERGY_OUT):
+        for row in block.COUNTERS:
             for lane in range(LANES):
                 B[row * LANES + lane] = 0.0
 
@@ -337,22 +258,22 @@ def _write_outputs(R, N, A, T) -> int:
         numbers = at(R, N[POINT_NUMBERS] + POINT_WIDTH * i)
         out = at(numbers, P_OUT)
         first = N[GROUPS] + 4 * point[P_GROUP]
-        block, ints = at(R, N[STATE] + N[first]), at(N, N[INTS] + N[first + INTS_START])
-        B, J = at(block, point[P_LANE]), at(ints, point[P_LANE])
-        wall = B[(HEAD_ROWS + TEMPERATURE) * LANES]
-        h_ref = R[N[VECTORS] + (point[P_GROUP] * LANES + point[P_LANE]) * N_CONDITIONS + H_REF]
-        excess = wall * wall * wall * wall - B[(STAGE_SURROUNDINGS4 + 2) * LANES]
-        eps = B[FACTOR_EPS * LANES] * emittance(at(T, N[TABLE]), J[EMISSIVITY_TABLE], wall)
-        if J[N_EMITTING] > 0:
-            eps *= emittance_factor(block, ints, A[0], point[P_LANE], END, wall)
+        state, ints = at(R, N[STATE] + N[first]), at(N, N[INTS] + N[first + INTS_START])
+        B, J = at(state, point[P_LANE]), at(ints, point[P_LANE])
+        wall = B[(block.HEAD_ROWS + block.T) * LANES]
+        h_ref = R[N[VECTORS] + (point[P_GROUP] * LANES + point[P_LANE]) * block.N_CONDITIONS + block.H_REF]
+        excess = wall * wall * wall * wall - B[(block.STAGE_SURROUNDINGS4 + 2) * LANES]
+        eps = B[block.FACTOR_EPS * LANES] * emittance(at(T, N[TABLE]), J[block.EMISSIVITY_TABLE], wall)
+        if J[block.N_EMITTING] > 0:
+            eps *= emittance_factor(state, ints, A[0], point[P_LANE], block.END, wall)
         out[SURFACE], out[BONDLINE] = wall, R[N[STATE] + point[P_BONDLINE]]
-        out[RATIO] = B[(FILM + 2) * LANES] / h_ref if h_ref > 0.0 else 0.0
+        out[RATIO] = B[(block.FILM + 2) * LANES] / h_ref if h_ref > 0.0 else 0.0
         out[RADIATED] = eps * SIGMA * excess
-        out[ABSORBED] = B[STAGE_IN * LANES]
-        out[CONVECTED] = out[ABSORBED] + out[RADIATED] - B[(ADDED + 2) * LANES]
+        out[ABSORBED] = B[block.STAGE_IN * LANES]
+        out[CONVECTED] = out[ABSORBED] + out[RADIATED] - B[(block.ADDED + 2) * LANES]
         out[SURFACE_MARGIN] = numbers[P_SURFACE_LIMIT] - out[SURFACE]
         out[BONDLINE_MARGIN] = numbers[P_BONDLINE_LIMIT] - out[BONDLINE]
-        if B[FAILED * LANES] != 0.0 or not math.isfinite(wall):
+        if B[block.FAILED * LANES] != 0.0 or not math.isfinite(wall):
             outcome = i
     for s in range(N[N_SENSORS]):
         sensor = at(N, N[SENSOR_INTS] + SENSOR_WIDTH * s)
@@ -369,17 +290,17 @@ def _write_outputs(R, N, A, T) -> int:
 @inline_always
 def _start(R, N, A, T) -> int:
     """Set the initial temperatures of the stacks, in the conditions of the inputs."""
-    n = N[N_INPUTS]
+    n = N[library.N_INPUTS]
     for k in range(n):
-        R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
-    inputs = at(R, N[INPUTS_NEXT])
+        R[N[library.INPUTS_NEXT] + k] = R[N[library.INPUTS] + k]
+    inputs = at(R, N[library.INPUTS_NEXT])
     outside = _first_out_of_range(inputs, at(R, N[RANGES]), n)
     if outside != GOOD:
         return outside
     _write_parameters(R, N, True)
     _follow_ratio_tables(R, N, T)
     _clear_counts(R, N)
-    _begin(R, N, A, T, inputs, R[NOW])
+    _begin(R, N, A, T, inputs, R[library.NOW])
     for k in range(n):
         R[N[INPUTS_AT_STATE] + k] = inputs[k]
     _lag_sensors(R, N, 0.0)
@@ -390,15 +311,15 @@ def _start(R, N, A, T) -> int:
 @inline_always
 def _step(R, N, A, T) -> int:
     """Advance all points to the end of a step."""
-    n = N[N_INPUTS]
-    now, then, ranges = at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT]), at(R, N[RANGES])
+    n = N[library.N_INPUTS]
+    now, then, ranges = at(R, N[library.INPUTS_NOW]), at(R, N[library.INPUTS_NEXT]), at(R, N[RANGES])
     outside = _first_out_of_range(now, ranges, n)
     if outside != GOOD:
         return n + outside
     outside = _first_out_of_range(then, ranges, n)
     if outside != GOOD:
         return outside
-    jumped = N[CHANGED] != 0
+    jumped = N[library.CHANGED] != 0
     if jumped:
         _write_parameters(R, N, True)
         _follow_ratio_tables(R, N, T)
@@ -407,7 +328,7 @@ def _step(R, N, A, T) -> int:
     for k in range(n):
         jumped = jumped or R[N[INPUTS_AT_STATE] + k] != now[k]
     if jumped:
-        _begin(R, N, A, T, now, R[NOW])
+        _begin(R, N, A, T, now, R[library.NOW])
     _advance_through(R, N, A, T, now, then)
     for k in range(n):
         R[N[INPUTS_AT_STATE] + k] = then[k]
@@ -417,7 +338,7 @@ def _step(R, N, A, T) -> int:
 
 @inline_always
 def _resume(R, N, T) -> int:
-    """Make the blocks agree with the kept rows of another instance (KEPT_ROWS, KEPT_NODE_ROWS)."""
+    """Make the blocks agree with the kept rows of another instance (KEPT_ROWS of block.py, KEPT_NODE_ROWS)."""
     # Property polynomials stay: they hold for temperatures between their bounds, whichever instance asks.
     _write_parameters(R, N, False)
     _follow_ratio_tables(R, N, T)
@@ -429,30 +350,30 @@ def _resume(R, N, T) -> int:
         # Of lanes that repeat a point the first one is kept.
         for lane in range(1, LANES):
             if lanes[g * LANES + lane] == lanes[g * LANES + lane - 1]:
-                last = END_STAGE + lane * N_CONDITIONS
-                for c in range(last, last + N_CONDITIONS):
-                    B[c] = B[c - N_CONDITIONS]
-                for row in KEPT_ROWS:
+                last = END_STAGE + lane * block.N_CONDITIONS
+                for c in range(last, last + block.N_CONDITIONS):
+                    B[c] = B[c - block.N_CONDITIONS]
+                for row in block.KEPT_ROWS:
                     B[row * LANES + lane] = B[row * LANES + lane - 1]
-                for i in range(J[N_NODES]):
+                for i in range(J[block.N_NODES]):
                     for row in KEPT_NODE_ROWS:
-                        a = (HEAD_ROWS + i * NODE_ROWS + row) * LANES + lane
+                        a = (block.HEAD_ROWS + i * block.NODE_ROWS + row) * LANES + lane
                         B[a] = B[a - 1]
         # The instances may have different ratio tables.
         invalidate_cells(B)
         # Without gaps nobody writes the sources of inner nodes: they would remain those of an instance with gaps.
-        for i in range(J[N_NODES] if J[GAPS] == 0 else 0):
-            a = (HEAD_ROWS + i * NODE_ROWS) * LANES
+        for i in range(J[block.N_NODES] if J[block.GAPS] == 0 else 0):
+            a = (block.HEAD_ROWS + i * block.NODE_ROWS) * LANES
             for lane in range(LANES):
-                B[a + SOURCE * LANES + lane] = 0.0
-                B[a + SLOPE * LANES + lane] = 0.0
+                B[a + block.SOURCE * LANES + lane] = 0.0
+                B[a + block.SLOPE * LANES + lane] = 0.0
     return GOOD
 
 
 def advance(R, N, A, T) -> int:
     """The model, as library.py describes it."""
-    if N[MODE] == RESUME:
+    if N[library.MODE] == library.RESUME:
         return _resume(R, N, T)
-    if N[MODE] == START:
+    if N[library.MODE] == library.START:
         return _start(R, N, A, T)
     return _step(R, N, A, T)

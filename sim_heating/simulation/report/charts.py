@@ -151,21 +151,27 @@ def temperature_chart(
     """Surface and bondline temperatures of control points, hottest first, with the limits of a few."""
     ordered = sorted(points, key=lambda p: -float(np.max(p.surface_K)))
     styles = distinct_styles(len(ordered))
+    hot = {p.name for p in ordered if is_hot_structure(np.max(p.surface_K), np.max(p.bondline_K))}
     panels = []
     for key, label in (("surface_K", "surface temperature, K"), ("bondline_K", "bondline temperature, K")):
         styled = zip(ordered, styles, strict=True)
-        hot = {p.name for p in ordered if is_hot_structure(np.max(p.surface_K), np.max(p.bondline_K))}
         shown = [(p, s) for p, s in styled if key == "surface_K" or p.name not in hot]
         curves = [Curve(p.name, p.time_s, getattr(p, key), **s) for p, s in shown]
-        for p, s in shown:
-            limit = limits.get(p.name, {}).get(key)
-            if limit is not None and np.isfinite(limit) and len(ordered) <= LIMITS_SHOWN:
-                ends = p.time_s[[0, -1]]
-                curves.append(Curve(f"{p.name}, limit", ends, np.full(2, limit), s["color"], dash=(2, 4)))
+        if len(ordered) <= LIMITS_SHOWN:
+            curves += _limit_curves([(p, s["color"], limits.get(p.name, {}).get(key)) for p, s in shown])
         if curves:
             panels.append(Panel(label, curves, 1.3 if key == "surface_K" else 1.0))
     caption = "Surface and bondline temperatures of the control points, hottest first; hot structure has no bondline."
     return Chart("Temperatures", panels, f"{caption}{_shaded(windows)}", spans=window_spans(windows), picture=picture)
+
+
+def _limit_curves(limits: Sequence[tuple[PointHistory, str, float | None]]) -> list[Curve]:
+    """Temperature limits of points [K], dotted in their colours; of a point without one none."""
+    return [
+        Curve(f"{p.name}, limit", p.time_s[[0, -1]], np.full(2, limit), color, dash=(2, 4))
+        for p, color, limit in limits
+        if limit is not None and np.isfinite(limit)
+    ]
 
 
 def heat_chart(

@@ -18,15 +18,7 @@ from sim_heating.base.report.table import SORTABLE, Column, Table
 from sim_heating.credibility.section import credibility_section
 from sim_heating.inputs.record import Record
 from sim_heating.march.history import PointHistory, range_lines, rising_bondlines
-from sim_heating.simulation.report.charts import (
-    MEASURED,
-    ModelCurve,
-    heat_chart,
-    record_chart,
-    temperature_chart,
-    trajectory_chart,
-    window_spans,
-)
+from sim_heating.simulation.report import charts
 from sim_heating.trajectory.flight import Window
 
 PREDICTED = "tab:blue"
@@ -87,14 +79,14 @@ def run_page(
     if any("band" in point for point in summary["control_points"].values()):
         captions.append("Margin at the band: of the upper end of the 95 % band; below 0 where that exceeds the limit.")
     table = replace(peaks, title=" ".join(captions), strong=beyond, sortable=_long(peaks))
-    temperatures = temperature_chart(points, windows, limits, SavedPicture(pictures.temperatures))
+    temperatures = charts.temperature_chart(points, windows, limits, SavedPicture(pictures.temperatures))
     lines = [*range_lines(summary["control_points"]), *rising_bondlines(summary["control_points"])]
     sections = [
         Section("Peak temperatures", points=lines, tables=[table]),
         Section("Temperatures", charts=[temperatures]),
         *_compared_section(compared, pictures.compared),
-        Section("Heat at the surface", charts=[heat_chart(points, windows, SavedPicture(pictures.heating))]),
-        Section("Trajectory", charts=[trajectory_chart(flown, windows, SavedPicture(pictures.trajectory))]),
+        Section("Heat at the surface", charts=[charts.heat_chart(points, windows, SavedPicture(pictures.heating))]),
+        Section("Trajectory", charts=[charts.trajectory_chart(flown, windows, SavedPicture(pictures.trajectory))]),
         *_manoeuvres_section(windows, pictures.manoeuvres),
         _events_section(summary),
         credibility_section(summary["credibility"]),
@@ -114,9 +106,9 @@ def _compared_section(compared: Sequence[MeasuredCurve], picture: Path) -> list[
     for c in compared:
         inside = (c.history.time_s >= c.time_s[0]) & (c.history.time_s <= c.time_s[-1])
         predicted = Curve("predicted", c.history.time_s[inside], c.history.surface_K[inside], COLORS[1])
-        measured = Curve("measured", c.time_s, c.temperature_K, MEASURED, points=True)
+        measured = Curve("measured", c.time_s, c.temperature_K, charts.MEASURED, points=True)
         panels.append(Panel(f"{c.label}, surface (RMSE {c.rmse_K:.0f} K), K", [measured, predicted]))
-        residual = [Curve("measured minus predicted", c.time_s, c.residual_K, MEASURED, points=True)]
+        residual = [Curve("measured minus predicted", c.time_s, c.residual_K, charts.MEASURED, points=True)]
         panels.append(Panel("measured minus predicted, K", residual, 0.5, zero=True))
     caption = "Measured histories and the prediction of the declared model at the surface."
     chart = Chart("Measured and predicted", panels, caption, picture=SavedPicture(picture))
@@ -142,7 +134,7 @@ def _events_section(summary: Mapping[str, Any]) -> Section:
 
 
 def prediction_page(
-    summary: Mapping[str, Any], record: Record, history: PointHistory, predicted: ModelCurve, picture: Path
+    summary: Mapping[str, Any], record: Record, history: PointHistory, predicted: charts.ModelCurve, picture: Path
 ) -> Page:
     """The report of a prediction along a flight record as a page.
 
@@ -154,7 +146,7 @@ def prediction_page(
     warnings = [*range_lines({record.name: summary}), *filter(None, [summary["beyond_reference"]])]
     sections = [
         _prediction_errors(summary),
-        Section("Measured against predicted", charts=[record_chart(record, [predicted], SavedPicture(picture))]),
+        Section("Measured against predicted", charts=[charts.record_chart(record, [predicted], SavedPicture(picture))]),
         Section("Wall", charts=[_wall_chart(history, record)]),
         credibility_section(summary["credibility"]),
     ]
@@ -206,14 +198,14 @@ def _wall_chart(history: PointHistory, record: Record) -> Chart:
     return Chart("Wall", panels, "Predicted temperatures of the wall and the heat at its surface.")
 
 
-def predictions_page(table: Table, charts: Sequence[tuple[Record, ModelCurve]]) -> Page:
+def predictions_page(table: Table, curves: Sequence[tuple[Record, charts.ModelCurve]]) -> Page:
     """The page of predictions along several records: their errors, and residuals side by side."""
-    pages = [f"{record.name}/report.html" for record, _ in charts]
+    pages = [f"{record.name}/report.html" for record, _ in curves]
     fleet = replace(table, sortable=True, links=pages)
-    shown = [record_chart(record, [curve], temperatures=False) for record, curve in charts]
+    shown = [charts.record_chart(record, [curve], temperatures=False) for record, curve in curves]
     text = "The name of a record leads to its own page. Click the head of a column to sort by it."
     sections = [Section("Records", [text], tables=[fleet]), Section("Residuals side by side", charts=shown)]
-    return Page("Predictions", f"{len(charts)} records, declared models, nothing fitted", sections)
+    return Page("Predictions", f"{len(curves)} records, declared models, nothing fitted", sections)
 
 
 def records_page(title: str, records: Mapping[str, Record], windows: Sequence[Window]) -> Page:
@@ -236,11 +228,13 @@ def records_page(title: str, records: Mapping[str, Record], windows: Sequence[Wi
             for s, values, style in zip(r.sensors, r.temperatures_K(), styles, strict=True)
         ]
         panels.append(Panel(f"{name}, readings, K", read, 0.7))
-    chart = Chart("Readings", panels, "Readings of the thermocouples. Shaded: manoeuvres.", spans=window_spans(windows))
+    chart = Chart(
+        "Readings", panels, "Readings of the thermocouples. Shaded: manoeuvres.", spans=charts.window_spans(windows)
+    )
     flown = next(iter(records.values())).conditions
     sections = [
         Section("Records", tables=[Table("", columns, rows, sortable=len(rows) > SORTABLE)]),
         Section("Readings", charts=[chart]),
-        Section("Flight", charts=[trajectory_chart(flown, windows)]),
+        Section("Flight", charts=[charts.trajectory_chart(flown, windows)]),
     ]
     return Page(title, f"{len(records)} flight record{'s' if len(records) > 1 else ''}, synthetic", sections)

@@ -118,13 +118,12 @@ def draw_temperatures(
     """
     figure, axes = new_figure(10.0, 9.0, 2, sharex=True)
     style = _styles(points, {p.name: p.surface_K for p in points})
-    hottest = [p for name in style for p in points if p.name == name]
-    _plot_by_peak(axes[0], {p.name: (p.time_s, p.surface_K) for p in hottest}, style, "surface temperature, K")
+    hottest = sorted(points, key=lambda p: [*style].index(p.name))
     insulated = [p for p in hottest if not is_hot_structure(np.max(p.surface_K), np.max(p.bondline_K))]
+    _plot_by_peak(axes[0], {p.name: (p.time_s, p.surface_K) for p in hottest}, style, "surface temperature, K")
     _plot_by_peak(axes[1], {p.name: (p.time_s, p.bondline_K) for p in insulated}, style, "bondline temperature, K")
     for k, (a, shown, key) in enumerate(((axes[0], hottest, "surface_K"), (axes[1], insulated, "bondline_K"))):
-        for p in shown:
-            _fill_band(a, p, k, style[p.name]["color"])
+        _fill_bands(a, shown, k, style)
         if len(points) <= LIMITS_SHOWN:
             _plot_limits(a, {p.name: (limits or {}).get(p.name, {}).get(key) for p in shown}, style)
         _shade(a, windows)
@@ -136,11 +135,12 @@ def draw_temperatures(
     return save_figure(figure, path, title, axes)
 
 
-def _fill_band(axes: Axes, point: PointHistory, channel: int, color: object) -> None:
-    """Shade the 95 % band of a channel of a point, where it has one."""
-    if point.band is not None:
-        ends = (point.band.low_K[channel], point.band.high_K[channel])
-        axes.fill_between(point.time_s, *ends, color=color, alpha=0.18, linewidth=0)
+def _fill_bands(axes: Axes, points: Sequence[PointHistory], channel: int, style: Mapping[str, dict[str, Any]]) -> None:
+    """Shade the 95 % bands of a channel of points, of those that have one."""
+    for p in points:
+        if p.band is not None:
+            ends = (p.band.low_K[channel], p.band.high_K[channel])
+            axes.fill_between(p.time_s, *ends, color=style[p.name]["color"], alpha=0.18, linewidth=0)
 
 
 def _styles(points: Sequence[PointHistory], values: Mapping[str, FloatArray]) -> dict[str, dict[str, Any]]:

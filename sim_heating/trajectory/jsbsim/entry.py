@@ -17,16 +17,9 @@ from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import standard_sound_kernel
+from sim_heating.trajectory import flight
 from sim_heating.trajectory.aero import Aero, flown_aero
-from sim_heating.trajectory.flight import (
-    AFTER_MANOEUVRE_S,
-    REPORT_S,
-    Flight,
-    OnFrame,
-    Sampler,
-    VehicleData,
-    frames_within,
-)
+from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
 from sim_heating.trajectory.guidance import ALPHA_COMMAND, EntryGuidance, Observation, first_memory, resolve_guidance
 from sim_heating.trajectory.jsbsim.host import InitialState, open_vehicle
 from sim_heating.trajectory.jsbsim.model import control_path
@@ -58,14 +51,14 @@ def fly(
     entry = JSBSimEntry(spec, vehicle)
     if on_frame is not None:
         on_frame(entry.host.read_frame())
-    next_report_s = REPORT_S
+    next_report_s = flight.REPORT_S
     while not entry.ended():
         entry.command()
         for _ in range(entry.frames_a_command):
             entry.step(on_frame)
         if progress is not None and entry.host.time_s >= next_report_s:
             progress(entry.done(), f"{entry.observed.altitude_m / 1e3:.1f} km, {entry.observed.velocity_m_s:.0f} m/s")
-            next_report_s += REPORT_S
+            next_report_s += flight.REPORT_S
     return entry.flight()
 
 
@@ -90,7 +83,7 @@ class JSBSimEntry:
         with error_context(display_path(control_path(vehicle.directory))):  # whose properties these two need
             self._commands = Commands(self.host, aero, guidance, spec.vehicle)
             self._observer = Observer(self.host)
-        self._sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
+        self._sampler = flight.Sampler(spec.sample_s, vehicle.reference_length_m)
         self._frames: list[FloatArray] = []
         self._in_manoeuvre = False
         self._frames_a_sample = whole_frames(spec.sample_s * spec.rate_hz)
@@ -137,7 +130,7 @@ class JSBSimEntry:
         alpha_deg, bank_deg = self._guidance.command(observed)
         offsets = self._script.offsets(observed.time_s, observed.velocity_m_s, observed.mach)
         self._commands.write(alpha_deg, bank_deg, offsets, observed.mach, observed.velocity_m_s)
-        self._in_manoeuvre = self._script.active(observed.time_s, AFTER_MANOEUVRE_S)
+        self._in_manoeuvre = self._script.active(observed.time_s, flight.AFTER_MANOEUVRE_S)
 
     def step(self, on_frame: OnFrame | None = None) -> None:
         """Advance one frame [s] and store a sample when it is due."""
@@ -161,7 +154,7 @@ class JSBSimEntry:
         end_s = self.host.time_s
         events = [*self._guidance.events, *self._script.events(end_s)]
         windows = self._script.windows(end_s)
-        frames = frames_within(self._frames, windows)
+        frames = flight.frames_within(self._frames, windows)
         return Flight(self._sampler.conditions(), sorted(events, key=lambda e: e[0]), windows, frames)
 
 

@@ -118,13 +118,14 @@ def clock_of(
         matches = series.map(pattern.fullmatch)
         hit = matches.notna()
         if hit.sum() > 0.5 * full.sum():
-            groups = {
-                name: [m[name] if m is not None else None for m in matches.where(hit, None)]
-                for name in pattern.groupindex
-            }
-            cells_of_clock = _Cells(groups, np.flatnonzero(np.asarray(hit)), written, location, dates_option)
-            return _clock(cells_of_clock, dates, unit)
+            groups, rows = _groups(pattern, matches.where(hit, None)), np.flatnonzero(np.asarray(hit))
+            return _clock(_Cells(groups, rows, written, location, dates_option), dates, unit)
     return None
+
+
+def _groups(pattern: re.Pattern[str], matches: pd.Series) -> dict[str, list[str | None]]:
+    """The texts of each group of a pattern; None where it does not match."""
+    return {name: [None if m is None else m[name] for m in matches] for name in pattern.groupindex}
 
 
 def _are_dotted(cells: pd.Series) -> bool:
@@ -329,22 +330,31 @@ def _months(names: Sequence[str]) -> FloatArray:
 def _unambiguous_days(cells: _Cells) -> tuple[FloatArray, str] | None:
     """Days since 1970 of dates with names of months, or in eight digits, and their layout in words; else None."""
     first = int(cells.rows[0])
-    if cells.groups["basic"][first]:
-        texts = [text or "00000000" for text in cells.strings("basic")]
-        return _day(*(np.array([float(t[p]) for t in texts]) for p in DIGITS_OF_BASIC)), "yyyymmdd"
-    if cells.groups["ordinal"][first]:
-        texts = [text or "0000000" for text in cells.strings("ordinal")]
-        year, number = (np.array([float(t[part]) for t in texts]) for part in (slice(4), slice(-3, None)))
-        first_day, after = (_day(y, np.ones(len(y)), np.ones(len(y))) for y in (year, year + 1.0))
-        return np.where((number >= 1.0) & (number <= after - first_day), first_day + number - 1.0, np.nan), "yyyy-ddd"
-    if cells.groups["named"][first]:
-        year, day = cells.numbers("ny"), cells.numbers("nd")
-        return _day(year, _months(cells.strings("named")), day), "with names of months"
+    for group, days in (("basic", _basic_days), ("ordinal", _ordinal_days), ("named", _named_days)):
+        if cells.groups[group][first]:
+            return days(cells)
     if not (cells.groups["b"][first] or "").isdigit():
         first_number, last_number = cells.numbers("a"), cells.numbers("c")
         year, day = (first_number, last_number) if _is_year(cells, "a") else (last_number, first_number)
         return _day(year, _months(cells.strings("b")), day), "with names of months"
     return None
+
+
+def _basic_days(cells: _Cells) -> tuple[FloatArray, str]:
+    texts = [text or "00000000" for text in cells.strings("basic")]
+    return _day(*(np.array([float(t[p]) for t in texts]) for p in DIGITS_OF_BASIC)), "yyyymmdd"
+
+
+def _ordinal_days(cells: _Cells) -> tuple[FloatArray, str]:
+    texts = [text or "0000000" for text in cells.strings("ordinal")]
+    year, number = (np.array([float(t[part]) for t in texts]) for part in (slice(4), slice(-3, None)))
+    first_day, after = (_day(y, np.ones(len(y)), np.ones(len(y))) for y in (year, year + 1.0))
+    return np.where((number >= 1.0) & (number <= after - first_day), first_day + number - 1.0, np.nan), "yyyy-ddd"
+
+
+def _named_days(cells: _Cells) -> tuple[FloatArray, str]:
+    year, day = cells.numbers("ny"), cells.numbers("nd")
+    return _day(year, _months(cells.strings("named")), day), "with names of months"
 
 
 def _is_year(cells: _Cells, group: str) -> bool:

@@ -13,6 +13,7 @@ The file has the name of its field; a field T is a temperature in K. Source: Ope
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
@@ -23,8 +24,8 @@ from sim_heating.heating.recorded.cells.numbers import shown_cell
 PROBE = re.compile(r"#\s*Probe\s+(\d+)\s+(\([^)]*\))(.*)")
 """Number and place of a probe, and what is remarked of it, as `# Not Found`."""
 TIME = re.compile(r"#\s*Time\b.*")
-FIELD, UNITS = "T", ("s", "K")
-"""Name of the file of a temperature, and the units of its time and its readings."""
+FIELD = "T"
+"""Name of the file of a temperature."""
 
 
 def is_foam(text: str) -> bool:
@@ -38,24 +39,34 @@ def foam_block(path: Path, text: str) -> Block:
     raises : InputError, one line, for a row without a number for each probe, such as of a vector
     """
     lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
-    probes = [match for _, line in lines if (match := PROBE.fullmatch(line))]
     rows = [(i, line) for i, line in lines if line[0] != "#"]
-    names = ("Time", *(f"Probe {p[1]}" for p in probes))
-    cells = [line.split() for _, line in rows]
-    for (i, line), row in zip(rows, cells, strict=True):
-        if len(row) != len(names) or "(" in line:
-            rule = f"is not a time and one number for each of {len(probes)} probes; give the file of a scalar, as T"
-            raise InputError(f"{display_path(path)}, row {i}: `{shown_cell(line)}` {rule}")
     if not rows:
         raise InputError(
             f"{display_path(path)}: no rows of numbers were found; give a file with times and temperatures"
         )
-    is_temperature = path.stem == FIELD
-    units = (UNITS[0] if is_temperature else "", *[UNITS[1] if is_temperature else ""] * len(probes))
+    names, places = _probes([line for _, line in lines])
+    _require_scalars(path, rows, len(names))
+    numbers, texts = zip(*rows, strict=True)
+    units = ("s", *["K"] * (len(names) - 1)) if path.stem == FIELD else ("",) * len(names)
     names_line = next((i for i, line in lines if TIME.fullmatch(line)), 1)
-    columns = tuple(map(list, zip(*cells, strict=True)))
+    columns = tuple(map(list, zip(*map(str.split, texts), strict=True)))
+    about = f"OpenFOAM probes, {places}"
+    return Block(path, names, units, columns, numbers, decimal=".", names_line=names_line, about=about)
+
+
+def _probes(lines: Sequence[str]) -> tuple[tuple[str, ...], str]:
+    """Names of the time and the probes, and the places of the probes in words."""
+    probes = list(filter(None, map(PROBE.fullmatch, lines)))
     places = "; ".join(f"{p[1]} at {p[2]} m{p[3].replace('#', ',').rstrip()}" for p in probes)
-    return Block(
-        path, names, units, columns, tuple(i for i, _ in rows), decimal=".", names_line=names_line,
-        about=f"OpenFOAM probes, {places}",
-    )  # fmt: skip
+    return ("Time", *(f"Probe {p[1]}" for p in probes)), places
+
+
+def _require_scalars(path: Path, rows: Sequence[tuple[int, str]], width: int) -> None:
+    """Refuse the first row that is not a time and one number for each probe.
+
+    raises : InputError, one line
+    """
+    for i, line in rows:
+        if len(line.split()) != width or "(" in line:
+            rule = f"is not a time and one number for each of {width - 1} probes; give the file of a scalar, as T"
+            raise InputError(f"{display_path(path)}, row {i}: `{shown_cell(line)}` {rule}")

@@ -12,7 +12,8 @@ reading format; dataTaker DT80 user's manual, fixed-format mode
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,7 +30,7 @@ ALMEMO = re.compile(
 _NAME, _VALUE = r'(?:[^\s,="\\]|\\.)+', r'(?:"(?:[^"\\]|\\.)*"|[^\s,"=]+)'
 INFLUX = re.compile(rf"({_NAME}(?:,{_NAME}={_NAME})*) ({_NAME}={_VALUE}(?:,{_NAME}={_VALUE})*) (\d{{9,19}})")
 """Series, fields, and time since 1970."""
-INFLUX_PART, INFLUX_NUMBER = re.compile(rf"({_NAME})=({_VALUE})"), re.compile(r"([+-]?\d+)[iu]")
+INFLUX_PART, INFLUX_NUMBER = re.compile(rf"({_NAME})=({_VALUE})"), re.compile(r"^([+-]?\d+)[iu]$")
 _FLOAT = r"[+-]\d\.\d+E[+-]\d\d"
 KEYSIGHT = re.compile(
     rf"({_FLOAT}) ([A-Za-z]+),(?:(\d{{4}}),(\d\d),(\d\d),(\d\d),(\d\d),(\d\d\.\d+)|({_FLOAT})),"
@@ -121,30 +122,39 @@ def _matches(path: Path, lines: Lines, pattern: re.Pattern[str]) -> Iterator[tup
 
 
 def _of_almemo(path: Path, lines: Lines) -> Iterator[Reading]:
-    dates = [(i, match[1]) for i, line in lines if (match := ALMEMO_DATE.fullmatch(line))]
-    of_dates = {i for i, _ in dates}
-    found = list(_matches(path, [row for row in lines if row[0] not in of_dates], ALMEMO))
-    comments: dict[str, set[str]] = {}
-    for _, match in found:
-        comments.setdefault(match[2], set()).add((match[5] or "").strip())
+    dates = {i: match[1] for i, line in lines if (match := ALMEMO_DATE.fullmatch(line))}
+    readings = list(_matches(path, [row for row in lines if row[0] not in dates], ALMEMO))
+    labels = _almemo_labels(match for _, match in readings)
     time = ""
-    for i, match in found:
-        date, time = next((date for k, date in reversed(dates) if k < i), ""), match[1] or time
-        label = next(iter(comments[match[2]])) if len(comments[match[2]]) == 1 else ""  # others are alarms
-        yield Reading(i, f"{date} {time}".strip(), f"{match[2]} {label}".strip(), match[4], match[3].replace(" ", ""))
+    for i, match in readings:
+        date, time = next((date for k, date in reversed(dates.items()) if k < i), ""), match[1] or time
+        sensor = f"{match[2]} {labels[match[2]]}".strip()
+        yield Reading(i, f"{date} {time}".strip(), sensor, match[4], match[3].replace(" ", ""))
+
+
+def _almemo_labels(readings: Iterable[re.Match[str]]) -> dict[str, str]:
+    """Channel -> the comment of all its readings; empty where they differ, as those of alarms do."""
+    comments: dict[str, set[str]] = {}
+    for match in readings:
+        comments.setdefault(match[2], set()).add((match[5] or "").strip())
+    return {channel: texts.pop() if len(texts) == 1 else "" for channel, texts in comments.items()}
 
 
 def _of_influx(path: Path, lines: Lines) -> Iterator[Reading]:
     series = [(i, m[1], INFLUX_PART.findall(m[2]), m[3]) for i, m in _matches(path, lines, INFLUX)]
     tags = [{"": name.partition(",")[0]} | dict(INFLUX_PART.findall(name)) for _, name, _, _ in series]
-    varying = [k for k in dict.fromkeys(k for t in tags for k in t) if len({t.get(k) for t in tags}) > 1]
+    varying = _varying_tags(tags)
     is_value = all(field == "value" for _, _, fields, _ in series for field, _ in fields)
     for (i, _, fields, stamp), of_line in zip(series, tags, strict=True):
-        parts = [of_line[k] for k in varying if k in of_line]
+        parts = list(filter(None, map(of_line.get, varying)))
         for field, text in fields:
-            sensor = " ".join([*parts, *([] if parts and is_value else [field])]).replace("\\", "")
-            number = INFLUX_NUMBER.fullmatch(text)
-            yield Reading(i, stamp, sensor, "", number[1] if number else text.strip('"'))
+            sensor = " ".join(parts if parts and is_value else [*parts, field]).replace("\\", "")
+            yield Reading(i, stamp, sensor, "", INFLUX_NUMBER.sub(r"\1", text).strip('"'))
+
+
+def _varying_tags(tags: Sequence[Mapping[str, str]]) -> list[str]:
+    """Tags that have more than one value, or that some lines lack."""
+    return [k for k in dict.fromkeys(chain.from_iterable(tags)) if len({t.get(k) for t in tags}) > 1]
 
 
 def _of_keysight(path: Path, lines: Lines) -> Iterator[Reading]:

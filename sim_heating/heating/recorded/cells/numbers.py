@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 
@@ -64,30 +64,40 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
     decimal : the decimal sign, where it is stated
     raises  : InputError that names a cell where both readings hold, or cells contradict each other
     """
-    stated = decimal or block.decimal or None
+    stated = decimal or block.decimal
     evidence, open_cells, blank = _shown_signs(block, columns)
-    if stated is None and len(evidence) > 1:
-        row, k = max(evidence.values())
-        first = min(evidence.values())
-        two = f"`{block.cells[k][row]}`" + (f" and `{block.cells[first[1]][first[0]]}`" if first[0] >= 0 else "")
-        raise InputError(
-            f"{block.at(row, block.names[k])}: {two} do not have one decimal sign; state it, --decimal . or --decimal ,"
-        )
-    sign = stated or next(iter(evidence), None)
-    if sign is not None:
+    if not stated and len(evidence) > 1:
+        raise _contradiction(block, evidence)
+    sign = stated or next(iter(evidence), "")
+    if sign:
         return Signs(sign, blank or _thousands(block, columns, sign))
     if len(open_cells) == 1 and _shows_thousands(block, columns, thousands := next(iter(open_cells))):
         return Signs(_other_sign(thousands), thousands)
+    _refuse_open_cells(block, columns, open_cells)
+    return Signs(".", blank)
+
+
+def _contradiction(block: Block, evidence: Mapping[str, tuple[int, int]]) -> InputError:
+    """The message of a file whose cells show both decimal signs."""
+    (row, k), (first_row, first_k) = max(evidence.values()), min(evidence.values())
+    two = f"`{block.cells[k][row]}`" + (f" and `{block.cells[first_k][first_row]}`" if first_row >= 0 else "")
+    rule = "do not have one decimal sign; state it, --decimal . or --decimal ,"
+    return InputError(f"{block.at(row, block.names[k])}: {two} {rule}")
+
+
+def _refuse_open_cells(block: Block, columns: Sequence[int], open_cells: Mapping[str, tuple[int, int]]) -> None:
+    """Refuse a cell whose sign may be that of decimals or of thousands.
+
+    raises : InputError with both numbers that it may be
+    """
     for either, (row, k) in open_cells.items():
         if either == "," or _may_be_thousands(block, columns):
             cell = block.cells[k][row]
-            integer = re.sub(r"[.,]", "", cell)
+            integer, fraction = re.sub(r"[.,]", "", cell), cell.replace(",", ".")
             raise InputError(
-                f"{block.at(row, block.names[k])}: `{cell}` may be {integer} or {cell.replace(',', '.')}; "
-                "state the decimal "
-                f"sign, --decimal {_other_sign(either)} for {integer}, --decimal {either} for {cell.replace(',', '.')}"
+                f"{block.at(row, block.names[k])}: `{cell}` may be {integer} or {fraction}; state the decimal "
+                f"sign, --decimal {_other_sign(either)} for {integer}, --decimal {either} for {fraction}"
             )
-    return Signs(".", blank)
 
 
 def _other_sign(sign: str) -> str:
@@ -108,15 +118,21 @@ def _shown_signs(
         cells = block.column(k)
         joined = "".join(cells)
         blank = next((b for b in BLANKS if b in joined), blank)
-        signs = {sign for sign in ".," if sign in joined}
-        for row, cell in _telling(cells) if signs else ():
-            either = EITHER.fullmatch(cell)
-            shown = (False, either[1]) if either else _sign_of(cell)
-            if shown is not None:
-                (evidence if shown[0] else open_cells).setdefault(shown[1], (row, k))
-                if shown[0] and len(signs) == 1:
-                    break  # no other cell of the column has another sign
+        for row, is_shown, sign in _column_signs(cells, {sign for sign in ".," if sign in joined}):
+            (evidence if is_shown else open_cells).setdefault(sign, (row, k))
     return evidence, open_cells, blank
+
+
+def _column_signs(cells: Sequence[str], signs: Collection[str]) -> Iterator[tuple[int, bool, str]]:
+    """Row of each telling cell of a column, whether it decides the decimal sign, and its sign.
+
+    signs : those that stand in the column
+    """
+    for row, cell in _telling(cells) if signs else ():
+        if (shown := _sign_of(cell)) is not None:
+            yield row, *shown
+            if shown[0] and len(signs) == 1:
+                return  # no other cell of the column has another sign
 
 
 def _telling(cells: Sequence[str]) -> Iterator[tuple[int, str]]:
@@ -181,16 +197,16 @@ def _shows_thousands(block: Block, columns: Sequence[int], sign: str) -> bool:
 def _may_be_thousands(block: Block, columns: Sequence[int]) -> bool:
     """Whether points with three digits behind them may be those of thousands: whole numbers of hundreds stand beside
     them, or all are of one to nine thousand, where the separator is not that of countries with a decimal point."""
-    for k in columns:
-        cells = [c for c in map(_bare, block.column(k)) if c]
-        pointed = [c for c in cells if "." in c]
-        integers = [abs(float(c)) for c in cells if re.fullmatch(r"[+-]?\d{1,9}", c)]
-        if pointed and (
-            max(integers, default=0.0) >= 100.0
-            or (block.separator != "," and all(re.fullmatch(r"[+-]?[1-9]\.\d{3}", c) for c in pointed))
-        ):
-            return True
-    return False
+    return any(_may_group(list(filter(None, map(_bare, block.column(k)))), block.separator) for k in columns)
+
+
+def _may_group(cells: Sequence[str], separator: str) -> bool:
+    """Whether the points in the cells of one column may be signs of thousands."""
+    pointed = [c for c in cells if "." in c]
+    integers = [abs(float(c)) for c in cells if re.fullmatch(r"[+-]?\d{1,9}", c)]
+    if not pointed or max(integers, default=0.0) >= 100.0:
+        return bool(pointed)
+    return separator != "," and all(re.fullmatch(r"[+-]?[1-9]\.\d{3}", c) for c in pointed)
 
 
 @dataclass(frozen=True)
@@ -211,20 +227,35 @@ class Numbers:
 
 def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
     """The numbers that the cells of a column hold."""
-    if set("".join(cells)) <= PLAIN_CHARACTERS and signs.decimal == "." and not signs.thousands:
+    if signs == Signs(".") and set("".join(cells)) <= PLAIN_CHARACTERS:
         return _plain_numbers(cells)
-    pattern, drop = signs.pattern, str.maketrans("", "", (signs.thousands or "") + BLANKS)
-    by_cell = {cell: _read(cell, pattern, drop, signs.decimal) for cell in dict.fromkeys(cells) if cell}
-    values = np.array([by_cell[cell][0] if cell else math.nan for cell in cells])
-    units = {unit for value, unit in by_cell.values() if not math.isnan(value)}
-    texts = {cell: None for cell, (value, _) in by_cell.items() if math.isnan(value)}
-    torn = next((i for i, cell in enumerate(cells) if cell in texts and TORN.match(cell)), -1)
-    if len(units) == 2 and all(_is_code(v) for v, u in by_cell.values() if not u):
-        units.discard("")  # the code of a lost sample states no unit
-    if len(units) > 1 and torn < 0:
-        unit_of = {i: by_cell[cell][1] for i, cell in enumerate(cells) if cell and not math.isnan(by_cell[cell][0])}
-        torn = next(i for i, unit in unit_of.items() if unit != next(iter(unit_of.values())))
+    pattern, drop = signs.pattern, str.maketrans("", "", signs.thousands + BLANKS)
+    read = {cell: _read(cell, pattern, drop, signs.decimal) for cell in dict.fromkeys(filter(None, cells))}
+    numbers = {cell: number for cell, number in read.items() if not math.isnan(number[0])}
+    texts = {cell: None for cell in read if cell not in numbers}
+    values = np.array([numbers.get(cell, (math.nan, ""))[0] for cell in cells])
+    units = _units_of(numbers.values())
+    torn = _torn_row(cells, texts, numbers, units)
     return Numbers(values, units.pop() if len(units) == 1 else "", tuple(texts), torn)
+
+
+def _units_of(numbers: Collection[tuple[float, str]]) -> set[str]:
+    """Units of numbers; the code of a lost sample states none."""
+    units = {unit for _, unit in numbers}
+    if len(units) == 2 and all(_is_code(value) for value, unit in numbers if not unit):
+        units.discard("")
+    return units
+
+
+def _torn_row(
+    cells: Sequence[str], texts: Collection[str], numbers: Mapping[str, tuple[float, str]], units: Collection[str]
+) -> int:
+    """Row of the first text that begins as a number, else of the first number in another unit; -1 without either."""
+    torn = next((i for i, cell in enumerate(cells) if cell in texts and TORN.match(cell)), -1)
+    if torn >= 0 or len(units) < 2:
+        return torn
+    first = next(iter(numbers.values()))[1]
+    return next(i for i, cell in enumerate(cells) if cell in numbers and numbers[cell][1] != first)
 
 
 def _plain_numbers(cells: Sequence[str]) -> Numbers:

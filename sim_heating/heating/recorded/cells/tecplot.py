@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
@@ -24,11 +25,9 @@ def tecplot_block(path: Path, text: str) -> Block:
 
     raises : InputError, one line, for a second zone, and for a line without a number for each variable
     """
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()[:1] not in ("", "#")]
     first = next((k for k, (_, line) in enumerate(lines) if NUMBERS.fullmatch(line)), len(lines))
-    head = "\n".join(line for _, line in lines[:first])
-    listed = re.split(r"(?im)^\s*zone\b", re.split(r"(?i)variables\s*=", head, maxsplit=1)[1], maxsplit=1)[0]
-    names = tuple(quoted or bare for quoted, bare in re.findall(r'"([^"]*)"|([^\s,"]+)', listed))
+    names = _variables(lines[:first])
     rows = [(i, tuple(re.split(r"[\s,]+", line.strip(", \t")))) for i, line in lines[first:]]
     if not rows:
         raise InputError(f"{display_path(path)}: no rows of numbers were found; give a file with a zone of points")
@@ -37,6 +36,13 @@ def tecplot_block(path: Path, text: str) -> Block:
             shown = " ".join(cells)[:40]
             rule = f"is not one number for each of {len(names)} variables; export one zone with DATAPACKING=POINT"
             raise InputError(f"{display_path(path)}, row {i}: `{shown}` {rule}")
-    columns = tuple(map(list, zip(*(cells for _, cells in rows), strict=True)))
-    units = ("",) * len(names)
-    return Block(path, names, units, columns, tuple(i for i, _ in rows), decimal=".", about="Tecplot")
+    numbers, points = zip(*rows, strict=True)
+    columns = tuple(map(list, zip(*points, strict=True)))
+    return Block(path, names, ("",) * len(names), columns, numbers, decimal=".", about="Tecplot")
+
+
+def _variables(lines: Sequence[tuple[int, str]]) -> tuple[str, ...]:
+    """Names of the variables in the lines above the points."""
+    head = "\n".join(line for _, line in lines)
+    listed = re.split(r"(?im)^\s*zone\b", re.split(r"(?i)variables\s*=", head, maxsplit=1)[1], maxsplit=1)[0]
+    return tuple(quoted or bare for quoted, bare in re.findall(r'"([^"]*)"|([^\s,"]+)', listed))

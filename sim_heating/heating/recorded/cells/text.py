@@ -19,6 +19,9 @@ from sim_heating.heating.recorded.cells.json_rows import is_json, json_block
 from sim_heating.heating.recorded.cells.lists import list_block
 from sim_heating.heating.recorded.cells.tecplot import is_tecplot, tecplot_block
 
+FORMS = ((is_json, json_block), (is_tecplot, tecplot_block), (is_foam, foam_block))
+"""What tells a form by its beginning, and reads it."""
+
 
 def _with_colons(time: re.Match[str]) -> str:
     return ":".join(part for part in time.groups() if part)
@@ -86,6 +89,8 @@ MONITORED = re.compile(
     r"(?:(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?) -> |\[((?:\d{4}-\d{2}-\d{2} )?\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\] ?)(.*)"
 )
 """Time of a serial monitor with an arrow, or in brackets, and the text of the device."""
+MONITOR_MARK = re.compile(r"^\[| -> ")
+"""The bracket or the arrow of a serial monitor."""
 QUOTED_LIST = re.compile(r'\s*\(((?:\s*"[^"]*")+)\s*\)\s*')
 """Names as Fluent lists them, `("Time Step" "wall" "flow-time")`."""
 TIME_WORDS = rf"(?i)time|zeit|date|datum|{EAST_ASIAN_TIME}|^t$|^(elapsed )?sec"
@@ -142,23 +147,13 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
     separator : between cells, where it is known
     raises    : InputError, one line, where rows differ in their cells, or there are none of numbers
     """
-    if is_json(text):
-        return json_block(path, text)
-    if is_tecplot(text):
-        return tecplot_block(path, text)
-    if is_foam(text):
-        return foam_block(path, text)
+    for is_of_form, block_of_form in FORMS:
+        if is_of_form(text):
+            return block_of_form(path, text)
     if (block := list_block(path, text)) is not None:
         return block
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
-    lines = (SIGN_APART.sub(r"\1\2", text) if "+ " in text or "- " in text else text).split("\n")
-    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;")]
-    numbered = [row for row in numbered[:HEAD_LINES] if not RULE.fullmatch(row[1])] + numbered[HEAD_LINES:]
-    if any(FORTRAN_ROW.fullmatch(line) and FORTRAN.search(line) for _, line in numbered[: 2 * HEAD_LINES]):
-        numbered = [(i, FORTRAN.sub("E", line) if FORTRAN_ROW.fullmatch(line) else line) for i, line in numbered]
-    numbered = _with_closed_quotes(numbered)
-    if numbered and (stated := re.fullmatch(r"sep=(.)\s*", numbered[0][1].strip('"'))):
-        separator, numbered = separator or stated[1], numbered[1:]
+    numbered = _with_closed_quotes(_numbered_lines(text.replace("\r\n", "\n").replace("\r", "\n")))
+    stated, numbered = _stated_separator(numbered)
     recorder = _recorder(numbered)
     numbered, monitored = _without_arrows(numbered)
     if monitored:
@@ -168,11 +163,33 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
             f"{display_path(path)}: no rows of numbers were found; give a file with a time and temperatures"
         )
     try:
-        sign = separator or _separator(numbered)
+        sign = separator or stated or _separator(numbered)
         rows = split_lines(numbered, sign)
     except csv.Error as error:  # such as a cell of more than 131072 characters
         raise InputError(f"{display_path(path)}: cannot be read as a table ({error}); give a file of numbers") from None
     return rows_block(path, rows, sign, recorder=recorder, lines=dict(numbered))
+
+
+def _numbered_lines(text: str) -> list[tuple[int, str]]:
+    """Number and text of the lines that are not blank and no rules; signs stand at their numbers, and exponents are
+    written with E."""
+    lines = (SIGN_APART.sub(r"\1\2", text) if "+ " in text or "- " in text else text).split("\n")
+    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;")]
+    numbered[:HEAD_LINES] = [row for row in numbered[:HEAD_LINES] if not RULE.fullmatch(row[1])]
+    return _with_usual_exponents(numbered)
+
+
+def _with_usual_exponents(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Lines in which Fortran's `1.0D+03` is written `1.0E+03`."""
+    if not any(FORTRAN_ROW.fullmatch(line) and FORTRAN.search(line) for _, line in lines[: 2 * HEAD_LINES]):
+        return lines
+    return [(i, FORTRAN.sub("E", line) if FORTRAN_ROW.fullmatch(line) else line) for i, line in lines]
+
+
+def _stated_separator(lines: list[tuple[int, str]]) -> tuple[str, list[tuple[int, str]]]:
+    """The separator that a first line `sep=;` states, empty without one, and the other lines."""
+    stated = re.fullmatch(r"sep=(.)\s*", lines[0][1].strip('"')) if lines else None
+    return ("", lines) if stated is None else (stated[1], lines[1:])
 
 
 def _with_closed_quotes(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
@@ -202,23 +219,33 @@ def _recorder(lines: Sequence[tuple[int, str]]) -> str:
 def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], bool]:
     """Lines of a serial monitor, `10:45:00.512 -> 20.06,20.46` of an Arduino or `[2024-05-03 10:45:00.512] 20.06,20.46`
     of a terminal, with a separator for the arrow or the brackets."""
-    if sum(" -> " in line or line[0] == "[" for _, line in lines[:HEAD_LINES]) < 0.9 * len(lines[:HEAD_LINES]):
+    head = lines[:HEAD_LINES]
+    if sum(MONITOR_MARK.search(line) is not None for _, line in head) < 0.9 * len(head):
         return lines, False
-    matches = ((i, MONITORED.fullmatch(line.strip())) for i, line in lines)
-    stamped = [(i, m[1] or m[2], m[3]) for i, m in matches if m is not None]
+    matches = [(i, line, MONITORED.fullmatch(line.strip())) for i, line in lines]
+    stamped = [(i, m) for i, _, m in matches if m is not None]
     if len(stamped) < 0.9 * len(lines):
         return lines, False
-    begun = {i for i, _, _ in stamped}
-    others = [(i, line) for i, line in lines if i > stamped[0][0] and i not in begun]  # refused as rows, not lost
-    labelled = _labelled_values([text for _, _, text in stamped])
+    others = [(i, line) for i, line, m in matches if m is None and i > stamped[0][0]]  # refused as rows, not lost
+    head, rows = _rows_of_monitor(stamped)
+    return [*head, *sorted([*rows, *others])], True
+
+
+def _rows_of_monitor(
+    stamped: Sequence[tuple[int, re.Match[str]]],
+) -> tuple[list[tuple[int, str]], list[tuple[int, str]]]:
+    """A row of names where all lines label their values, and the rows of time and values.
+
+    stamped : line, and match of MONITORED
+    """
+    times, texts = [m[1] or m[2] for _, m in stamped], [(i, m[3]) for i, m in stamped]
+    labelled = _labelled_values([text for _, text in texts])
     if labelled is not None:
         names, values = labelled
-        head = ";".join(["time", *names])
-        stated = [(i, ";".join([t, *v])) for (i, t, _), v in zip(stamped, values, strict=True)]
-        return [(0, head), *sorted([*stated, *others])], True
-    rest = [(i, text) for i, _, text in stamped]
-    sign = _separator(rest) if any(s in text for _, text in rest[:50] for s in ",;\t ") else ";"
-    return sorted([*((i, t + sign + text) for i, t, text in stamped), *others]), True
+        rows = [(i, ";".join([time, *row])) for (i, _), time, row in zip(stamped, times, values, strict=True)]
+        return [(0, ";".join(["time", *names]))], rows
+    sign = _separator(texts) if any(re.search("[,;\t ]", text) for _, text in texts[:50]) else ";"
+    return [], [(i, time + sign + text) for time, (i, text) in zip(times, texts, strict=True)]
 
 
 def _labelled_values(texts: Sequence[str]) -> tuple[list[str], list[list[str]]] | None:
@@ -255,22 +282,28 @@ def _separator(lines: Sequence[tuple[int, str]]) -> str:
     """The separator that gives most lines the same number of cells, two or more, each of one number at most."""
     half = SAMPLE_LINES // 2
     sample = lines if len(lines) <= 2 * half else [*lines[:half], *lines[-half:]]
+    text = "\n".join(line for _, line in sample)
     best, most = ",", 0.0
     for sign in SEPARATORS:
-        if not any(sign in line or (sign == " " and "\t" in line) for _, line in sample):
-            continue
-        split = split_lines(sample, sign)
-        rows = [cells for _, cells in split]
-        width, often = max(Counter(len(r) for r in rows).items(), key=lambda item: (item[1], item[0]))
-        if sign == WIDE and not _are_columns_of_dates(split[:HEAD_LINES], width):
-            continue
-        if width < 2:
-            continue
-        wrong = sum(any(_is_torn(c, sign) for c in row) for row in rows)
-        agreement = (often - wrong) / len(rows)
-        if agreement > most + 0.05:
-            best, most = sign, agreement
+        if sign in text or (sign == " " and "\t" in text):
+            agreement = _agreement(split_lines(sample, sign), sign)
+            if agreement > most + 0.05:
+                best, most = sign, agreement
     return best
+
+
+def _agreement(rows: Sequence[Row], sign: str) -> float:
+    """Share of the rows that have the usual number of cells, less those with a cell that shows another separator."""
+    width, often = _usual_width(rows)
+    if width < 2 or (sign == WIDE and not _are_columns_of_dates(rows[:HEAD_LINES], width)):
+        return 0.0
+    wrong = sum(any(_is_torn(c, sign) for c in cells) for _, cells in rows)
+    return (often - wrong) / len(rows)
+
+
+def _usual_width(rows: Sequence[Row]) -> tuple[int, int]:
+    """The number of cells that most rows have, and how many have it."""
+    return max(Counter(len(cells) for _, cells in rows).items(), key=lambda item: (item[1], item[0]))
 
 
 def _are_columns_of_dates(rows: Sequence[Row], width: int) -> bool:
@@ -290,11 +323,16 @@ def _is_torn(cell: str, sign: str) -> bool:
     if re.fullmatch(r"\d{8}\s+\d{4,6}", cell):
         return False
     if CLOCK_CELL.fullmatch(cell):
-        if sign == " " and len(re.findall("[,;]", cell)) > 1:
-            return True  # one may be the decimal sign of the seconds
-        ends_in_year = re.search(r"[A-Za-z]{3} +\d{1,2} [\d:]+ \d{4}$", cell)
-        return not ends_in_year and re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
+        return _is_torn_clock(cell, sign)
     return re.search(r"\d[.,]?\s+[+-]?[.,]?\d", THOUSANDS_BLANK.sub("", cell)) is not None
+
+
+def _is_torn_clock(cell: str, sign: str) -> bool:
+    """Whether numbers stand behind the date or the time of day in a cell."""
+    if sign == " " and len(re.findall("[,;]", cell)) > 1:
+        return True  # one may be the decimal sign of the seconds
+    ends_in_year = re.search(r"[A-Za-z]{3} +\d{1,2} [\d:]+ \d{4}$", cell)
+    return not ends_in_year and re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
 
 
 def is_number(cell: str) -> bool:
@@ -331,35 +369,47 @@ def rows_block(
     raises : InputError, one line, for rows whose cells do not fit
     """
     file = display_path(path)
-    width = max(Counter(len(c) for _, c in split).items(), key=lambda item: (item[1], item[0]))[0]
-    split, width = _with_constants(split, width)
+    split, width = _with_constants(split, _usual_width(split)[0])
     first = _first_row(split, width, recorder)
-    if (
-        first
-        and len(split[first - 1][1]) > width
-        and _is_data(split[first - 1][1])
-        and not _is_comment(split[first - 1][1])
-    ):
-        line, cells = split[first - 1]
-        rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
-        raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
     if first is None:
-        usual, cells = next((line, cells) for line, cells in reversed(split) if len(cells) == width)
-        raise InputError(
-            f"{file}: no rows of numbers were found; row {usual}, `{_shown(cells)}`, is none. Write a time and "
-            "temperatures alone in each row, one number a cell, or state --separator"
-        )
+        raise _no_numbers(file, split, width)
+    if first:
+        _refuse_wide_data(file, split[first - 1], width)
     body, notes = _body(file, split, first, _last_row(split, first, width))
     columns = _columns_of_rows(file, body, width)
     while width > 1 and not any(columns[-1]) and not _named_cell(split, first, width - 1):
         columns.pop()  # a separator ends each line
         width -= 1
     names, units, names_line = _head(file, split, first, width, recorder, lines)
-    sign_text = SEPARATORS.get(sign, f"`{sign}`") if sign else ""
-    about = ", ".join(filter(None, [recorder, f"cells separated by {sign_text}" if sign_text else ""]))
+    separated = f"cells separated by {SEPARATORS.get(sign, f'`{sign}`')}" if sign else ""
+    about = ", ".join(filter(None, [recorder, separated]))
     named = tuple(name or f"column{k}" for k, name in enumerate(names, 1))
     table = (named, tuple(units), tuple(columns), tuple(line for line, _ in body))
     return Block(path, *table, sign, "", names_line, about, tuple(notes))
+
+
+def _no_numbers(file: str, split: Sequence[Row], width: int) -> InputError:
+    """The message of a file without rows of numbers, with the last row of the usual width."""
+    usual, cells = next((line, cells) for line, cells in reversed(split) if len(cells) == width)
+    return InputError(
+        f"{file}: no rows of numbers were found; row {usual}, `{_shown(cells)}`, is none. Write a time and "
+        "temperatures alone in each row, one number a cell, or state --separator"
+    )
+
+
+def _wrong_width(file: str, row: Row, width: int) -> InputError:
+    """The message of a row that has another number of cells."""
+    rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
+    return InputError(f"{file}, row {row[0]}: `{_shown(row[1])}` {rule}")
+
+
+def _refuse_wide_data(file: str, above: Row, width: int) -> None:
+    """Refuse a row of data that has more cells than the first of the usual width below it.
+
+    raises : InputError
+    """
+    if len(above[1]) > width and _is_data(above[1]) and not _is_comment(above[1]):
+        raise _wrong_width(file, above, width)
 
 
 def _with_constants(split: Sequence[Row], width: int) -> tuple[Sequence[Row], int]:
@@ -379,23 +429,35 @@ def _body(file: str, split: Sequence[Row], first: int, last: int) -> tuple[list[
 
     raises : InputError, one line, where too many rows stand behind the last
     """
-    notes = []
-    behind = split[last + 1 :]
-    if behind:
-        line, cells = behind[0]
-        if len(behind) > TRAILER_LINES:
-            rule = "does not have the cells of the rows above; cut the file there"
-            raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
-        notes.append(f"rows {line} to {split[-1][0]} behind the data left out (`{_shown(cells)}`)")
-    body = [row for row in split[first : last + 1] if row[1][0][:1] not in COMMENT_SIGNS or not _is_comment(row[1])]
-    if comments := last + 1 - first - len(body):
+    notes = _notes_of_trailer(file, split[last + 1 :])
+    rows = split[first : last + 1]
+    body = [row for row in rows if row[1][0][:1] not in COMMENT_SIGNS or not _is_comment(row[1])]
+    if comments := len(rows) - len(body):
         notes.append(f"{comments} lines of comment amid the data left out")
-    names = split[first - 1][1] if first and comments else ()
-    below = {row[0] for above, row in pairwise(split[first : last + 1]) if row[1] == names and _is_comment(above[1])}
+    below = _lines_of_names(rows, split[first - 1][1]) if first and comments else set()
     if below:
         body = [row for row in body if row[0] not in below]
         notes.append(f"the names stand again in row {min(below)}, below a comment: left out")
     return body, notes
+
+
+def _notes_of_trailer(file: str, behind: Sequence[Row]) -> list[str]:
+    """A note of the rows behind the data, where there are any.
+
+    raises : InputError, one line, where they are too many
+    """
+    if not behind:
+        return []
+    line, cells = behind[0]
+    if len(behind) > TRAILER_LINES:
+        rule = "does not have the cells of the rows above; cut the file there"
+        raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
+    return [f"rows {line} to {behind[-1][0]} behind the data left out (`{_shown(cells)}`)"]
+
+
+def _lines_of_names(rows: Sequence[Row], names: Sequence[str]) -> set[int]:
+    """Lines amid the data that have the names of the columns again, below a comment."""
+    return {row[0] for above, row in pairwise(rows) if row[1] == names and _is_comment(above[1])}
 
 
 def _columns_of_rows(file: str, body: Sequence[Row], width: int) -> list[list[str]]:
@@ -405,8 +467,7 @@ def _columns_of_rows(file: str, body: Sequence[Row], width: int) -> list[list[st
     """
     for line, cells in body:
         if len(cells) != width and (len(cells) < width or any(cells[width:])):
-            rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
-            raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
+            raise _wrong_width(file, (line, cells), width)
     return [[cells[column] for _, cells in body] for column in range(width)]
 
 
@@ -491,17 +552,24 @@ def _head(
         names, units = (_filled(split[k][1], width) for k in (1, 2))
         return names, ["" if known_unit(u) is None else u for u in units], split[1][0]
     rows = _rows_above(file, split, first, width, lines)
-    if len(rows) > 1 and all(c.lower() in PROCESS for c in rows[0][1]):
-        names, units, line = _names_and_units(rows[1:])
-        reduced = [
-            f"{name} {process}" if names.count(name) > 1 else name
-            for name, process in zip(names, rows[0][1], strict=True)
-        ]
-        return reduced, units or none, line
-    if not rows or all(c.lower() in PROCESS for c in rows[0][1]):
+    process: Sequence[str] = ()
+    if rows and _are_process(rows[0][1]):
+        process, rows = rows[0][1], rows[1:]
+    if not rows:
         return [f"column{k + 1}" for k in range(width)], none, 0
     names, units, line = _names_and_units(rows)
-    return names, units or none, line
+    return _with_process(names, process), units or none, line
+
+
+def _with_process(names: list[str], process: Sequence[str]) -> list[str]:
+    """Names with how the logger reduced the samples behind those that stand several times; `process` may be empty."""
+    if not process:
+        return names
+    return [f"{name} {p}" if names.count(name) > 1 else name for name, p in zip(names, process, strict=True)]
+
+
+def _are_process(cells: Sequence[str]) -> bool:
+    return all(c.lower() in PROCESS for c in cells)
 
 
 def _names_and_units(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[str], list[str], int]:
@@ -521,14 +589,19 @@ def _with_names_above(rows: Sequence[tuple[int, list[str]]]) -> list[str]:
     """Names of the row right above the data, and for its empty cells those of the nearest row that has them, such as
     `Tag,,,wall,back` above `Date,Time,ms,,`; a row of units has none. `Min` and `Max` stand behind the name above."""
     names = list(rows[0][1])
-    reduced = [k for k, name in enumerate(names) if name and name.lower() in PROCESS]
+    reduced = [k for k, name in enumerate(names) if name and _are_process([name])]
     for _, cells in rows[1:]:
         if not _is_label_of_units(cells[0]):
             names = [name or cell for name, cell in zip(names, cells, strict=True)]
-            of_channel = {k: cells[k] or (cells[k - 1] if k - 1 in reduced else "") for k in reduced}
-            for k in (k for k in reduced if names[k].lower() in PROCESS):
-                names[k] = f"{of_channel[k]} {names[k]}".strip()
+            for k in reduced:
+                if _are_process([names[k]]):
+                    names[k] = f"{_channel_above(cells, k, reduced)} {names[k]}".strip()
     return names
+
+
+def _channel_above(cells: Sequence[str], k: int, reduced: Sequence[int]) -> str:
+    """The name above a column of a reduced channel, or above the one before it, where that is reduced as well."""
+    return cells[k] or (cells[k - 1] if k - 1 in reduced else "")
 
 
 def _labelled_units(rows: Sequence[tuple[int, list[str]]]) -> list[str]:
@@ -561,7 +634,7 @@ def _are_names_above(rows: Sequence[tuple[int, list[str]]]) -> bool:
     not."""
     low, high = rows[0][1], rows[1][1]
     is_named = _count_of_names(high) >= 2
-    if is_named and any(converted(c, si) is not None for c in low if c for si in ("K", "W/m2")):
+    if is_named and any(_measures(c, "K", "W/m2") for c in low if c):
         return True
     return is_named and not any(re.search(NAME_WORDS, c) for c in low) and all(len(c) < 12 for c in low)
 
@@ -571,16 +644,22 @@ def _head_cells(row: Row, width: int, lines: dict[int, str] | None) -> list[str]
     line, cells = row[0], _trimmed(list(row[1]))
     if len(cells) <= width <= len(row[1]):
         cells = _filled(cells, width)  # the separators are there, and the last cells empty
-    if cells[0].startswith(COMMENT_SIGNS) and len(cells) > 1 and len(cells[0]) > 1:
-        cells = [cells[0].lstrip("#% "), *cells[1:]] if cells[0].lstrip("#% ") else cells[1:]
-    elif cells[0] in COMMENT_SIGNS and len(cells) == width + 1:
-        cells = cells[1:]
-    if len(cells) != width and lines is not None and (quoted := QUOTED_LIST.fullmatch(lines.get(line, ""))):
+    cells = _without_mark(cells, width)
+    text = None if lines is None else lines.get(line)
+    if len(cells) == width or text is None:
+        return cells
+    if quoted := QUOTED_LIST.fullmatch(text):
         cells = re.findall(r'"([^"]*)"', quoted[1])
-    if len(cells) != width and lines is not None and line in lines:
-        wide = re.split(r"\t+|\s{2,}", lines[line].lstrip("#% ").strip())
-        cells = wide if len(wide) == width else cells
-    return cells
+    wide = re.split(r"\t+|\s{2,}", text.lstrip("#% ").strip())
+    return wide if len(cells) != width == len(wide) else cells
+
+
+def _without_mark(cells: list[str], width: int) -> list[str]:
+    """Cells of a row without the mark of a comment at its beginning."""
+    if cells[0].startswith(COMMENT_SIGNS) and len(cells) > 1 and len(cells[0]) > 1:
+        first = cells[0].lstrip("#% ")
+        return [first, *cells[1:]] if first else cells[1:]
+    return cells[1:] if cells[0] in COMMENT_SIGNS and len(cells) == width + 1 else cells
 
 
 def _trimmed(cells: list[str]) -> list[str]:
@@ -598,13 +677,16 @@ def _filled(cells: Sequence[str], width: int) -> list[str]:
 def _is_unit_row(cells: Sequence[str]) -> bool:
     """Whether a row holds units: one of a time or a temperature at least, and nothing that is a name."""
     full = [c.strip("[]()<> ") for c in cells if c.strip("[]()<> -")]
-    if not full or any(is_number(c) and c != "1" for c in full):
+    if any((is_number(c) and c != "1") or re.match("(?i)time|zeit|temp", c) for c in full):
         return False
-    usable = [c for c in full if any(converted(c, si) is not None for si in ("s", "K", "W/m2"))]
-    units = [c for c in full if c in usable or known_unit(c) is not None or _is_clock_word(c)]
-    is_name = re.compile(r"(?i)^(time|zeit|temp)").search
-    return bool(usable) and len(units) >= 0.5 * len(full) and not any(map(is_name, full))
+    return any(_measures(c, "s", "K", "W/m2") for c in full) and sum(map(_is_unit, full)) >= 0.5 * len(full)
 
 
-def _is_clock_word(cell: str) -> bool:
-    return re.fullmatch(r"(?i)[dhmsy:/ .\-]{4,}|ts|rn", cell) is not None
+def _measures(cell: str, *quantities: str) -> bool:
+    """Whether a cell is a unit that converts to one of some SI units, such as `degC` to K."""
+    return any(converted(cell, si) is not None for si in quantities)
+
+
+def _is_unit(cell: str) -> bool:
+    """Whether a cell is a unit that is known, or the layout of a clock, such as `hh:mm:ss`."""
+    return known_unit(cell) is not None or re.fullmatch(r"(?i)[dhmsy:/ .\-]{4,}|ts|rn", cell) is not None
