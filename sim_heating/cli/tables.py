@@ -7,37 +7,27 @@ from pathlib import Path
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import (
-    CONSOLE,
-    FORCE,
-    OUT,
-    PATH,
-    ROOT,
-    NumberRange,
-    optional_directory,
-    print_table,
-    progress_line,
-)
+from sim_heating.cli import console
 from sim_heating.cli.output import report_files, report_results
 
 
 @click.command("update-tables")
-@click.argument("fit", type=PATH, required=False)
+@click.argument("fit", type=console.PATH, required=False)
 @click.option("--vehicle", required=True, help="name or directory of the vehicle whose table is revised")
-@click.option("--out", callback=optional_directory, help="put a copy of the vehicle there and revise that")
+@click.option("--out", callback=console.optional_directory, help="put a copy of the vehicle there and revise that")
 @click.option(
     "--record",
     "records",
-    type=PATH,
+    type=console.PATH,
     multiple=True,
     help="the estimate's records, where they are not at the paths in it",
 )
 @click.option("--point", help="the control point, where the estimate has several")
-@click.option("--check", "checked", type=PATH, multiple=True, help="another record to predict before and after")
+@click.option("--check", "checked", type=console.PATH, multiple=True, help="another record to predict before and after")
 @click.option("--accept-partly", is_flag=True, help="take what a closed loop only resembles as its cause")
 @click.option("--dry-run", is_flag=True, help="show what would change and write nothing")
 @click.option("--revert", metavar="POINT", help="put table and effects of this point back to the parent revision")
-@ROOT
+@console.ROOT
 def update_tables(
     fit: Path | None,
     vehicle: str,
@@ -59,7 +49,7 @@ def update_tables(
         return
     if revert is not None:
         raise InputError(f"--revert {revert}: takes no FIT; leave out {fit}")
-    with progress_line("update-tables") as progress:
+    with console.progress_line("update-tables") as progress:
         updated = report.update_tables(
             fit,
             vehicle,
@@ -74,19 +64,19 @@ def update_tables(
         )
     for section in report.update_report(updated):
         if isinstance(section, str):
-            CONSOLE.print(section)
+            console.CONSOLE.print(section)
         else:
-            print_table(section)
+            console.print_table(section)
     directory, revision = updated.vehicle, updated.revision
     if directory is None or revision is None:
-        CONSOLE.print("Dry run: nothing was written")
+        console.CONSOLE.print("Dry run: nothing was written")
         report_results({"revision": None, "nodes_changed": updated.nodes_changed, "errors_K": updated.errors_K})
         return
     why = revision_path(directory, revision.control_point, revision.revision, "json")
     picture = " and .png" if why.with_suffix(".png").is_file() else ""
     effects = f" and {point_path(directory, revision.control_point)}" if revision.effects else ""
     line = f"Wrote {directory / revision.table}{effects}, revision {revision.revision}; why: {why}{picture}"
-    CONSOLE.print(line, soft_wrap=True)
+    console.CONSOLE.print(line, soft_wrap=True)
     report_files(None, [directory / revision.table, why])
     report_results(why)
 
@@ -102,16 +92,16 @@ def _revert_table(vehicle: str, point: str | None, has_other_options: bool, root
     if has_other_options:
         raise InputError(f"--revert {point}: takes no other option; leave out --out and --dry-run")
     directory = checked_directory(vehicle, root)
-    with progress_line("update-tables") as progress, revising(directory, progress):
+    with console.progress_line("update-tables") as progress, revising(directory, progress):
         undone, now = revert(directory, point)
-    CONSOLE.print(f"{point}: revision {undone} undone; revision {now} is in force, byte for byte")
+    console.CONSOLE.print(f"{point}: revision {undone} undone; revision {now} is in force, byte for byte")
     report_results({"control_point": point, "undone": undone, "revision": now})
 
 
 @click.command("ratio-tables")
 @click.argument("vehicles", nargs=-1, required=True)
-@FORCE
-@ROOT
+@console.FORCE
+@console.ROOT
 def ratio_tables(vehicles: tuple[str, ...], root: Path | None) -> None:
     """Build the heating-ratio tables of VEHICLES from the descriptions in their folders `ratio_sources`.
 
@@ -131,13 +121,13 @@ def ratio_tables(vehicles: tuple[str, ...], root: Path | None) -> None:
         paths = write_tables(vehicle, root=root)
         report_files(None, paths)
         for path in paths:
-            CONSOLE.print(display_path(path), soft_wrap=True)
+            console.CONSOLE.print(display_path(path), soft_wrap=True)
 
 
 @click.command("measured-records")
-@click.argument("scenario", type=PATH)
-@OUT
-@ROOT
+@click.argument("scenario", type=console.PATH)
+@console.OUT
+@console.ROOT
 def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
     """Make flight records of measured histories along the simulated flight of a SCENARIO.
 
@@ -165,22 +155,24 @@ def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
     report_files(out, files_written(out))
     report_results({"records": paths})
     for path in paths:
-        CONSOLE.print(display_path(path), soft_wrap=True)
+        console.CONSOLE.print(display_path(path), soft_wrap=True)
 
 
 @click.command("table")
 @click.argument("source")
-@click.option("--out", type=PATH, help="file to write; its suffix is its format; without it the table is described")
+@click.option(
+    "--out", type=console.PATH, help="file to write; its suffix is its format; without it the table is described"
+)
 @click.option("--vehicle", help="with body points: the vehicle whose control points get tables; --out is then a folder")
 @click.option(
     "--farthest",
-    type=NumberRange(min=0.0),
+    type=console.NumberRange(min=0.0),
     default=0.5,
     show_default=True,
     help="with --vehicle: most distance of a body point, m",
 )
-@FORCE
-@ROOT
+@console.FORCE
+@console.ROOT
 def table(source: str, out: Path | None, vehicle: str | None, farthest: float, root: Path | None) -> None:
     """Take a heating-ratio table from one file format to another.
 
@@ -214,7 +206,7 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
     if out is None:
         nodes = [len(axis) for axis in read.axes]
         shape = " x ".join(map(str, nodes))
-        CONSOLE.print(f"{source}: {shape} nodes, ratio {read.ratio.min():.4g} to {read.ratio.max():.4g}")
+        console.CONSOLE.print(f"{source}: {shape} nodes, ratio {read.ratio.min():.4g} to {read.ratio.max():.4g}")
         report_results({"nodes": nodes, "header": dict(read.header)})
         return
     _require_no_file(out, "name")
@@ -225,7 +217,7 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
     else:
         raise InputError(f"{source}: a system of JSBSim needs the wall of a point; give VEHICLE/POINT as the source")
     report_files(None, [out])
-    CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+    console.CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
 
 
 def _require_no_file(path: Path, other: str) -> None:
@@ -245,7 +237,7 @@ def _import_aero(source: str, out: Path) -> None:
         if not replaces_others():
             raise InputError(f"{display_path(path)}: exists; choose another folder, or --force replaces it")
     for path in import_aero(source, out):
-        CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
+        console.CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
 
 
 def _export_aero(vehicle: str, out: Path, root: Path | None) -> None:
@@ -261,7 +253,7 @@ def _export_aero(vehicle: str, out: Path, root: Path | None) -> None:
         raise InputError(f"{display_path(out)}: exists; choose another name, or --force replaces it")
     export_aero(load_aero(load_vehicle(vehicle, root=root).directory), out)
     report_files(None, [out])
-    CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+    console.CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
 
 
 def _write_jsbsim_system(vehicle: str, point_name: str, out: Path, root: Path | None) -> None:
@@ -318,9 +310,9 @@ def _tables_of_body_points(source: Path, vehicle: str, out: Path | None, farthes
     out.mkdir(parents=True, exist_ok=True)
     for path, body_table in zip(paths, tables.values(), strict=True):
         write_table(path, body_table)
-        CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
+        console.CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
     report_files(None, paths)
     far = [name for name in positions if name not in tables]
     if far:
-        CONSOLE.print(f"No body point within {farthest_m:g} m: {', '.join(far)}", soft_wrap=True)
+        console.CONSOLE.print(f"No body point within {farthest_m:g} m: {', '.join(far)}", soft_wrap=True)
     report_results({"control_points": list(tables), "too_far": far})

@@ -19,18 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from sim_heating.base import files
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import STATE
 from sim_heating.base.errors import InputError, reworded
-from sim_heating.base.files import (
-    COLDEST_K,
-    celsius_rule,
-    display_path,
-    output_directory,
-    suggestion,
-    write_csv,
-    write_text_atomic,
-)
 from sim_heating.base.files.text import and_more_rows
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
@@ -94,7 +86,7 @@ class Source:
         if match[2] in self.options:
             return f"{self.options[match[2]]}: {match[3]}"
         row = "" if match[1] is None else f", row {self.rows[int(match[1]) - 2]}"
-        return f"{display_path(self.path)}{row}, column {self.names.get(match[2], match[2])}: {match[3]}"
+        return f"{files.display_path(self.path)}{row}, column {self.names.get(match[2], match[2])}: {match[3]}"
 
 
 @dataclass(frozen=True)
@@ -172,7 +164,8 @@ def sensor_columns(measured: MeasuredCsv) -> list[CsvColumn]:
     if not temperatures:
         names = ", ".join(c.name for c in measured.columns if c.kind != TIME)
         raise InputError(
-            f"{display_path(measured.path)}: no column is a temperature; name one, --temperature COLUMN, of {names}"
+            f"{files.display_path(measured.path)}: no column is a temperature; name one, --temperature COLUMN, of "
+            f"{names}"
         )
     return temperatures
 
@@ -229,7 +222,7 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
         if lit_s is not None:
             raise InputError("--lit: is for a constant --lamp; a column or a file states when the lamp was lit")
         return _recorded_flux(measured, lamp, columns.get(lamp), absorptance)
-    hint = suggestion(lamp, columns, otherwise="") if re.match(r"[A-Za-z]", lamp) else ""
+    hint = files.suggestion(lamp, columns, otherwise="") if re.match(r"[A-Za-z]", lamp) else ""
     if hint or re.match(r"[A-Za-z./]", lamp):
         listed = ", ".join(c.name for c in measured.columns if c.kind != TIME)
         raise InputError(
@@ -255,7 +248,7 @@ def _recorded_flux(measured: MeasuredCsv, lamp: str, flux_column: CsvColumn | No
         warnings.warn(f"--lamp {lamp}, column {flux_column.name}: {flux_column.guess}", stacklevel=3)
     empty = np.flatnonzero(np.isnan(flux))
     if empty.size:
-        cell = f"{display_path(file.path)}, row {file.rows[empty[0]]}, column {flux_column.name}"
+        cell = f"{files.display_path(file.path)}, row {file.rows[empty[0]]}, column {flux_column.name}"
         raise InputError(f"{cell}: holds no number; fill it{and_more_rows(empty.size)}")
     absorbed = "absorbed" if absorptance is None else f"incident, {absorptance:g} of it absorbed"
     note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {absorbed}"
@@ -310,8 +303,8 @@ def _later_s(file: MeasuredCsv, measured: MeasuredCsv) -> float:
     """
     if file.zero != measured.zero or (file.zero and (file.zero_s is None or measured.zero_s is None)):
         raise InputError(
-            f"--lamp {display_path(file.path)}: its times and those of {display_path(measured.path)} are of different "
-            "clocks; write both as dates with times, or both in seconds of one clock"
+            f"--lamp {files.display_path(file.path)}: its times and those of {files.display_path(measured.path)} are "
+            "of different clocks; write both as dates with times, or both in seconds of one clock"
         )
     return 0.0 if file.zero_s is None or measured.zero_s is None else file.zero_s - measured.zero_s
 
@@ -396,7 +389,7 @@ def flown_heat(
         pressure=pressure_of_reference(reference, local_angle_deg),
     )
     for line in flown.assumed:
-        warnings.warn(f"{display_path(path)}: {line}", stacklevel=2)
+        warnings.warn(f"{files.display_path(path)}: {line}", stacklevel=2)
     columns = {name: values for name, values in flown.table.columns.items() if name != "q_Pa"}
     zero = ("beta_deg", "elevon_deg", "bodyflap_deg")
     absent = [n for n in zero if n not in columns]
@@ -413,7 +406,7 @@ def flown_heat(
             f"confidence of the conditions {confidence}: the density is of the standard atmosphere, "
             f"+-{density_sigma:.0%} (--atmosphere FILE for a sounding of the day)"
         )
-    note = f"flight of {display_path(path)}"
+    note = f"flight of {files.display_path(path)}"
     source = Source(path, [int(i) for i in flown.table.lines], flown.fields)
     return Heat(columns, constants, reference or "columns", note, tuple(notes), uncertainty, source)
 
@@ -495,14 +488,14 @@ def write_new_record(
     inputs = list(filter(None, (measured.path, article.ratio_table)))
     sources = {"thermocouples.csv": source_of_readings(measured), "conditions.csv": article.heat.source}
     with (
-        output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
+        files.output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
         said_of_options(out),
         said_of_sources(sources, out),
         shown_at(folder, out),
     ):
-        write_text_atomic(folder / DECLARATION, text)
-        write_csv(folder / "conditions.csv", article.heat.columns)
-        write_csv(folder / "thermocouples.csv", readings)
+        files.write_text_atomic(folder / DECLARATION, text)
+        files.write_csv(folder / "conditions.csv", article.heat.columns)
+        files.write_csv(folder / "thermocouples.csv", readings)
         if article.ratio_table is not None:
             write_ratio_table(folder / RATIO_FILE, read_ratio_table(article.ratio_table))
         record = load_record(folder)
@@ -552,7 +545,7 @@ KEYS = {
 
 def said_of_options(out: str | os.PathLike[str]) -> AbstractContextManager[None]:
     """Errors about a declaration that was made from options, which is not there afterwards, with their names."""
-    return reworded(partial(_of_option, declaration=display_path(Path(out) / DECLARATION)))
+    return reworded(partial(_of_option, declaration=files.display_path(Path(out) / DECLARATION)))
 
 
 def _of_option(line: str, declaration: str) -> str:
@@ -580,7 +573,7 @@ def said_of_sources(sources: Mapping[str, Source | None], out: str | os.PathLike
     def shown(line: str) -> str:
         for name, source in sources.items():
             if source is not None:
-                line = source.shown(line, display_path(Path(out) / name))
+                line = source.shown(line, files.display_path(Path(out) / name))
         return line
 
     with _told_as(shown):
@@ -609,7 +602,7 @@ def _column_name(name: str) -> str:
 @contextmanager
 def shown_at(folder: Path, out: str | os.PathLike[str]) -> Iterator[None]:
     """Errors and warnings about files of a directory in the making, with the paths that they will have."""
-    temporary, shown = display_path(folder), display_path(Path(out))
+    temporary, shown = files.display_path(folder), files.display_path(Path(out))
     with _told_as(lambda line: line.replace(temporary, shown)):
         yield
 
@@ -643,8 +636,8 @@ def _initial(article: RecordInput, times: FloatArray, sensors: Sequence[CsvColum
     times : (reading,) [s]
     """
     if article.initial_K is not None:
-        if article.initial_K < COLDEST_K:
-            raise InputError(f"--initial {article.initial_K:g}K: {celsius_rule()}, such as --initial 21degC")
+        if article.initial_K < files.COLDEST_K:
+            raise InputError(f"--initial {article.initial_K:g}K: {files.celsius_rule()}, such as --initial 21degC")
         return article.initial_K, [f"wall at {article.initial_K:g} K at the start (--initial)"]
     cold = times <= _heated_from_s(article.heat)
     first, risen = [], []
@@ -766,4 +759,4 @@ def like_record(
         )
     comment = f"Temperatures of {measured.path.name}, stack and flight of {model.name}; made by sim-heating new record."
     write_record(record, out, comment=comment)
-    return record, [*measured.notes, *notes, f"stack, flight and heating of {display_path(Path(like))}"]
+    return record, [*measured.notes, *notes, f"stack, flight and heating of {files.display_path(Path(like))}"]
