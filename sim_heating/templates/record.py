@@ -10,7 +10,7 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -41,7 +41,7 @@ from sim_heating.inputs.record import (
 )
 from sim_heating.templates.materials import LayerInput, describe_source
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, CsvColumn, MeasuredCsv, read_measured_csv
-from sim_heating.templates.quantities import NUMBER, quantity, require_known, stated_field
+from sim_heating.templates.quantities import NUMBER, quantity, require_known, stated_fields
 from sim_heating.templates.render import render_toml
 from sim_heating.thermal.stack import PressureTable, Sensor
 
@@ -222,16 +222,19 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
         if lit_s is not None:
             raise InputError("--lit: is for a constant --lamp; a column or a file states when the lamp was lit")
         return _recorded_flux(measured, lamp, columns.get(lamp), absorptance)
-    hint = files.suggestion(lamp, columns, otherwise="") if re.match(r"[A-Za-z]", lamp) else ""
-    if hint or re.match(r"[A-Za-z./]", lamp):
+    return _constant_flux(measured, _stated_flux_W_m2(measured, lamp), lit_s, absorptance)
+
+
+def _stated_flux_W_m2(measured: MeasuredCsv, lamp: str) -> float:
+    if re.match(r"[A-Za-z./]", lamp):
+        hint = files.suggestion(lamp, [c.name for c in measured.columns], otherwise="") if lamp[0].isalpha() else ""
         listed = ", ".join(c.name for c in measured.columns if c.kind != TIME)
         raise InputError(
             f"--lamp {lamp}: is neither a flux such as {FLUX_EXAMPLE}, nor a column ({listed}), nor a file{hint}"
         )
     if re.fullmatch(rf"\s*{NUMBER}\s*", lamp):
         raise InputError(f"--lamp {lamp}: has no unit; write {FLUX_EXAMPLE}")
-    lamp_W_m2 = quantity(lamp, "W/m2", "--lamp", f"--lamp {FLUX_EXAMPLE}")
-    return _constant_flux(measured, lamp_W_m2, lit_s, absorptance)
+    return quantity(lamp, "W/m2", "--lamp", f"--lamp {FLUX_EXAMPLE}")
 
 
 def _recorded_flux(measured: MeasuredCsv, lamp: str, flux_column: CsvColumn | None, absorptance: float | None) -> Heat:
@@ -377,13 +380,16 @@ def flown_heat(
     raises             : InputError, one line, with everything that is not there and does not follow from what is
     """
     required = ["time_s", "altitude_m", "velocity_m_s", "alpha_deg", "mach", "log10_re", "rho_kg_m3", "T_inf_K"]
-    required += ["p_inf_Pa", *(() if has_pressure else ("p_surface_Pa",))]
-    required += REFERENCE_COLUMNS if reference is None else ()
+    required.append("p_inf_Pa")
+    if not has_pressure:
+        required.append("p_surface_Pa")
+    if reference is None:
+        required += REFERENCE_COLUMNS
     flown = read_flight(
         path,
         required,
         statement=OPTION,
-        fields={column: stated_field(column, text) for column, text in (fields or {}).items()},
+        fields=stated_fields(fields or {}),
         length_m=reference_length_m,
         sounding=None if atmosphere is None else read_sounding(atmosphere),
         pressure=pressure_of_reference(reference, local_angle_deg),
@@ -391,24 +397,30 @@ def flown_heat(
     for line in flown.assumed:
         warnings.warn(f"{files.display_path(path)}: {line}", stacklevel=2)
     columns = {name: values for name, values in flown.table.columns.items() if name != "q_Pa"}
-    zero = ("beta_deg", "elevon_deg", "bodyflap_deg")
-    absent = [n for n in zero if n not in columns]
-    constants = tuple((n, 0.0, "not in the file of the flight") for n in absent)
-    notes = list(flown.notes)
-    if absent:
-        notes.append(f"{', '.join(absent)} 0, as the file has none (--field {absent[0]}=2deg)")
-    uncertainty = None
-    if flown.has_model_density:
-        confidence = lowered_confidence("B")
-        density_sigma = BY_CONFIDENCE[confidence].density_relative
-        uncertainty = BY_CONFIDENCE["B"].model_copy(update={"density_relative": density_sigma})
-        notes.append(
-            f"confidence of the conditions {confidence}: the density is of the standard atmosphere, "
-            f"+-{density_sigma:.0%} (--atmosphere FILE for a sounding of the day)"
-        )
+    constants, of_constants = _angles_of_zero(columns)
+    uncertainty, of_density = _of_model_density() if flown.has_model_density else (None, [])
     note = f"flight of {files.display_path(path)}"
-    source = Source(path, [int(i) for i in flown.table.lines], flown.fields)
-    return Heat(columns, constants, reference or "columns", note, tuple(notes), uncertainty, source)
+    source = Source(path, list(map(int, flown.table.lines)), flown.fields)
+    notes = (*flown.notes, *of_constants, *of_density)
+    return Heat(columns, constants, reference or "columns", note, notes, uncertainty, source)
+
+
+def _angles_of_zero(columns: Collection[str]) -> tuple[tuple[tuple[str, float, str], ...], list[str]]:
+    """Angles that a flight does not record, as constants, and a note of them."""
+    absent = [n for n in ("beta_deg", "elevon_deg", "bodyflap_deg") if n not in columns]
+    note = [f"{', '.join(absent)} 0, as the file has none (--field {absent[0]}=2deg)"] if absent else []
+    return tuple((n, 0.0, "not in the file of the flight") for n in absent), note
+
+
+def _of_model_density() -> tuple[FlightUncertainty, list[str]]:
+    """Uncertainty of conditions whose density is of the standard atmosphere, and a note."""
+    confidence = lowered_confidence("B")
+    density_sigma = BY_CONFIDENCE[confidence].density_relative
+    note = (
+        f"confidence of the conditions {confidence}: the density is of the standard atmosphere, "
+        f"+-{density_sigma:.0%} (--atmosphere FILE for a sounding of the day)"
+    )
+    return BY_CONFIDENCE["B"].model_copy(update={"density_relative": density_sigma}), [note]
 
 
 # The record ----------------------------------------------------------------------------------------------------------
@@ -717,30 +729,7 @@ def like_record(
     """
     model = load_record(like)
     declared, columns = model.declared, sensor_columns(measured)
-    by_name = {key: s for s in model.sensors for key in (s.column, s.name, s.column.removesuffix("_K"))}
-    if len(columns) == 1 and len(model.sensors) == 1:
-        by_name.setdefault(columns[0].name, model.sensors[0])
-    layers = [
-        LayerInput(layer.material, declared.materials[layer.material], layer.thickness_m)
-        for layer in declared.stack.layer
-    ]
-    stated = depths_of(measured, depths, layers)
-    absent = [c.name for c in columns if c.name not in stated and c.name not in by_name]
-    if absent:
-        raise InputError(
-            f"--depth: is missing for {', '.join(absent)}; {model.name} has sensors "
-            f"{', '.join(s.column for s in model.sensors)}; write --depth {absent[0]}=0.4mm"
-        )
-    sensors, notes = [], []
-    for name in (c.name for c in columns):
-        other = by_name.get(name)
-        depth = stated[name] if name in stated else by_name[name].depth_m
-        sensors.append(Sensor(name=name, column=_column_name(name), depth_m=depth, noise_sigma_K=noise_K))
-        notes.append(f"{name} at {depth * 1e3:g} mm" + ("" if name in stated else f", as in {model.name}"))
-        if noise_K is None:
-            noise = None if other is None else other.noise_sigma_K
-            of_other = "" if noise is None else f"; the {noise:g} K of {model.name} are of its recorder"
-            notes.append(f"noise of {name} estimated (--noise 0.5K states it){of_other}")
+    sensors, notes = _sensors_like(model, measured, [c.name for c in columns], depths, noise_K)
     thermocouples = declared.thermocouples.model_copy(update={"sensor": sensors})
     update = {
         "thermocouples": thermocouples,
@@ -760,3 +749,46 @@ def like_record(
     comment = f"Temperatures of {measured.path.name}, stack and flight of {model.name}; made by sim-heating new record."
     write_record(record, out, comment=comment)
     return record, [*measured.notes, *notes, f"stack, flight and heating of {files.display_path(Path(like))}"]
+
+
+def _sensors_like(
+    model: Record, measured: MeasuredCsv, names: Sequence[str], depths: Mapping[str, str], noise_K: float | None
+) -> tuple[list[Sensor], list[str]]:
+    """Sensors at the depths that are stated, else at those of another record's sensors, and notes of them.
+
+    raises : InputError where a depth is missing
+    """
+    declared = model.declared
+    others = _sensors_by_column(model, names)
+    layers = [
+        LayerInput(layer.material, declared.materials[layer.material], layer.thickness_m)
+        for layer in declared.stack.layer
+    ]
+    stated = depths_of(measured, depths, layers)
+    if absent := [name for name in names if name not in {*stated, *others}]:
+        raise InputError(
+            f"--depth: is missing for {', '.join(absent)}; {model.name} has sensors "
+            f"{', '.join(s.column for s in model.sensors)}; write --depth {absent[0]}=0.4mm"
+        )
+    sensors, notes = [], []
+    for name in names:
+        depth = stated[name] if name in stated else others[name].depth_m
+        sensors.append(Sensor(name=name, column=_column_name(name), depth_m=depth, noise_sigma_K=noise_K))
+        notes.append(f"{name} at {depth * 1e3:g} mm" + ("" if name in stated else f", as in {model.name}"))
+        if noise_K is None:
+            notes.append(_noise_note(name, others.get(name), model))
+    return sensors, notes
+
+
+def _noise_note(name: str, other: Sensor | None, model: Record) -> str:
+    noise = None if other is None else other.noise_sigma_K
+    of_other = "" if noise is None else f"; the {noise:g} K of {model.name} are of its recorder"
+    return f"noise of {name} estimated (--noise 0.5K states it){of_other}"
+
+
+def _sensors_by_column(model: Record, names: Sequence[str]) -> dict[str, Sensor]:
+    """Sensors of a record by their names and columns, and a single one by the name of a single column as well."""
+    sensors = {key: s for s in model.sensors for key in (s.column, s.name, s.column.removesuffix("_K"))}
+    if len(names) == len(model.sensors) == 1:
+        sensors.setdefault(names[0], model.sensors[0])
+    return sensors
