@@ -72,6 +72,11 @@ class Evidence:
     claims: tuple[Claim, ...]
     cases: tuple[ValidationCase, ...]
 
+    @property
+    def verified(self) -> set[str]:
+        """Names of the topics that are verified."""
+        return {name for name, topic in self.topics.items() if topic.verified}
+
 
 @cache
 def shipped_evidence() -> Evidence:

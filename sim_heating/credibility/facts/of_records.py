@@ -179,14 +179,14 @@ def ratio_uncertainty(
 
     Correlations of the estimates are left out: the combined sigma is an upper bound where they are negative.
     """
-    flown = [r.conditions for r in records if all(v in r.conditions for v in RATIO_VARIABLES)]
+    flown = [r.conditions for r in records if r.conditions.columns.keys() >= {*RATIO_VARIABLES}]
     if not flown:
         return None
     x = np.concatenate([np.stack([c[v] for v in RATIO_VARIABLES], axis=1) for c in flown])
-    farthest = np.max(np.abs(x - np.asarray(reference)), axis=0)
+    farthest = np.max(np.abs(x - np.asarray(reference)), axis=0).tolist()
     magnitude = max(float(np.max(np.abs(declared_ratio(r.ratio_table, np.atleast_2d(reference))))) for r in records)
-    reach = {"scale": magnitude, "d0": 1.0} | {f"d_{s}": float(d) for s, d in zip(SHORT_NAMES, farthest, strict=True)}
-    reach = {f"ratio.{name}": value for name, value in reach.items()}
+    derivatives = map("ratio.d_{}".format, SHORT_NAMES)
+    reach = {"ratio.scale": magnitude, "ratio.d0": 1.0, **dict(zip(derivatives, farthest, strict=True))}
     contributions = {n: s * reach[n.partition("@")[0]] for n, s in sigma.items() if n.partition("@")[0] in reach}
     if not any(contributions.values()):
         return None
