@@ -304,16 +304,16 @@ def _plot_angles(a: Axes, conditions: Conditions, begin: float, end: float) -> d
     inside = (conditions.time_s >= begin) & (conditions.time_s <= end)
     columns = {"time_s": conditions.time_s[inside]}
     moving = [name for name in ANGLES if np.ptp(conditions[name][inside]) > DRAWN_ABOVE_DEG]
-    deflections = [name for name in moving if name != ALPHA]
-    other = a.twinx() if ALPHA in moving and deflections else a
+    on_the_right = moving[1:] if moving[:1] == [ALPHA] else []
+    other = a.twinx() if on_the_right else a
     lines = []
     for name in moving:
         label, color = ANGLES[name]
         columns[name] = conditions[name][inside]
-        axis, style = (a, "-") if name == ALPHA or other is a else (other, "--")
+        axis, style = (other, "--") if name in on_the_right else (a, "-")
         lines += axis.plot(columns["time_s"], columns[name], style, color=color, linewidth=1.3, label=label)
     a.set_ylabel(f"{ANGLES[ALPHA][0]}, deg" if ALPHA in moving else "deg")
-    if other is not a:
+    if on_the_right:
         other.set_ylabel("deflections, deg\n(dashed)")
     if lines:
         legend_above(a, handles=lines)

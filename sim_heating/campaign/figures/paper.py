@@ -181,9 +181,14 @@ def _flights(
             paths.remove(Path(source))
             flights += _campaign_flights(campaign, root, progress)
     flights += read_flights(paths, root=root, progress=progress) if paths else []
-    inputs += [path for f in flights if f.scenario is not None for path in f.scenario.files]
-    inputs += [r.directory for f in flights if f.scenario is None for r in f.records.values() if r.directory.is_dir()]
-    return flights, list(dict.fromkeys(inputs))
+    return flights, list(dict.fromkeys([*inputs, *_inputs_of(flights)]))
+
+
+def _inputs_of(flights: Sequence[CampaignFlight]) -> list[Path]:
+    """Files of the flights' scenarios, and directories of the records of those that have none."""
+    files = [path for f in flights if f.scenario is not None for path in f.scenario.files]
+    records = [r.directory for f in flights if f.scenario is None for r in f.records.values()]
+    return [*files, *filter(Path.is_dir, records)]
 
 
 def _campaign_flights(

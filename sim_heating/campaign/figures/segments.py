@@ -34,6 +34,7 @@ from sim_heating.estimation.trend import Trend
 from sim_heating.heating.ratio.uncertainty import declared_ratio
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.record import Record
 
 COLORS = {STAGNATION: "tab:blue", ECKERT: "tab:red"}
 NAMES = {STAGNATION: "stagnation point", ECKERT: "turbulent flat plate, Eckert"}
@@ -66,18 +67,9 @@ def reynolds_trend(data: FlownData, mach: float = 8.0) -> PaperFigure:
         factor, key = scale[name], name.replace("-", "_")
         table |= {f"{key}_ratio": ratio * factor, f"{key}_sigma": sigma * factor}
         _plot_segments(a, table["log10_re"], ratio * factor, sigma * factor, name)
-        for table_of_kind, kind, style in (
-            (flown.record.ratio_table, "", "--"),
-            (flown.record.turbulent, "_turbulent", ":"),
-        ):
-            if table_of_kind is not None:
-                column = f"{key}_table{kind}"
-                table[column] = declared_ratio(table_of_kind, at_reference) * factor
-                label = f"declared {'turbulent ' if kind else ''}table"
-                a.plot(table["log10_re"], table[column], style, color="0.35", label=label)
-        _limit(
-            a, table["log10_re"], ratio * factor, sigma * factor, [v for n, v in table.items() if f"{key}_table" in n]
-        )
+        declared = _plot_tables(a, flown.record, at_reference, factor)
+        table |= {f"{key}_table{kind}": of_table for kind, of_table in declared.items()}
+        _limit(a, table["log10_re"], ratio * factor, sigma * factor, list(declared.values()))
         legend_above(a)
         notes.append(_trend_text(table["log10_re"], ratio * factor, sigma * factor, name))
     d_alpha, bound = fit.parameters["ratio.d_alpha"]
@@ -88,6 +80,17 @@ def reynolds_trend(data: FlownData, mach: float = 8.0) -> PaperFigure:
         f"{reference[ALPHA]:.1f} deg"
     )
     return finished(9, title, drawn, {"": table}, tuple(notes), _statements(fit, ratio, sigma, notes[0]))
+
+
+def _plot_tables(a: Axes, record: Record, conditions: FloatArray, factor: FloatArray) -> dict[str, FloatArray]:
+    """Plot the declared tables of a record at the conditions of segments, times a factor; these by kind."""
+    drawn = {}
+    for table, kind, style in ((record.ratio_table, "", "--"), (record.turbulent, "_turbulent", ":")):
+        if table is not None:
+            drawn[kind] = declared_ratio(table, conditions) * factor
+            label = f"declared {'turbulent ' if kind else ''}table"
+            a.plot(conditions[:, LOG10_RE], drawn[kind], style, color="0.35", label=label)
+    return drawn
 
 
 def _statements(fit: FitResult, ratio: FloatArray, sigma: FloatArray, trend_text: str) -> tuple[Statement, ...]:
