@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
@@ -118,6 +118,13 @@ def _draw_plane_map(path: Path, title: str, flown: envelope.FlownMap) -> None:
     a.grid(visible=False)
 
 
+def _colours_of_limits(boundaries: Iterable[envelope.FlownBoundary]) -> dict[str, str]:
+    """Colour of each limit that holds at an edge of boundaries, in the order of their names."""
+    names = sorted({n for b in boundaries for s in b.segments for n in edge_limits(s)} - {""})
+    colours = dict(zip([n for n in names if n != END_OF_STUDY], cycle(COLOURS), strict=False)) | {END_OF_STUDY: "0.5"}
+    return {n: colours[n] for n in names}
+
+
 @replaced_if_undrawable
 def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, envelope.FlownBoundary], band: DrawnBand) -> None:
     """Draw a boundary, or that of several revisions side by side; the colour of an edge is that of its limit.
@@ -128,8 +135,7 @@ def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, envelope.Fl
     rows, columns = len(first.members()), len(boundaries)
     width = 8.5 if columns == 1 else 6.6 * columns
     figure, grid = new_figure(width, 5.2 * rows, rows, columns, sharex=True, sharey=True, squeeze=False)
-    names = sorted({n for b in boundaries.values() for s in b.segments for n in edge_limits(s)} - {""})
-    colours = dict(zip([n for n in names if n != END_OF_STUDY], cycle(COLOURS), strict=False)) | {END_OF_STUDY: "0.5"}
+    colours = _colours_of_limits(boundaries.values())
     for column, (label, boundary) in enumerate(boundaries.items()):
         for row, member in enumerate(first.members()):
             a, segments = grid[row, column], boundary.segments_of(member)
@@ -142,7 +148,7 @@ def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, envelope.Fl
             _name_speeds(a, segments)
     if first.along == "alpha_station":
         grid[0, 0].invert_xaxis()
-    handles = _handles(grid[0, 0], {n: colours[n] for n in names}, band)
+    handles = _handles(grid[0, 0], colours, band)
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)
     save_figure(figure, path, title, grid)
 

@@ -5,7 +5,7 @@ If the study names a vehicle `before`, the boundaries of both revisions are comp
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from sim_heating.inputs.vehicle import vehicle_place
 from sim_heating.planning.envelope import plots
 from sim_heating.planning.envelope import tables as files
 from sim_heating.planning.envelope.boundary import END_OF_STUDY
-from sim_heating.planning.envelope.case import held_alpha
+from sim_heating.planning.envelope.case import Case, held_alpha
 from sim_heating.planning.envelope.envelope import (
     CONSERVATIVE,
     FOLDER,
@@ -92,6 +92,14 @@ def _envelope_of(study: Study) -> Envelope:
 # Envelope ------------------------------------------------------------------------------------------------------------
 
 
+def _guidance_notes(study: Study, cases: Sequence[Case]) -> Iterator[str]:
+    """Notes of angles of attack that are held, and of what cannot be tested."""
+    guidance = base_entry(study).guidance
+    yield from filter(None, (held_alpha(case, guidance) for case in cases))
+    if any(case.lateral_cg_m != 0.0 for case in cases):
+        yield NOT_TESTABLE
+
+
 def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> PartResult:
     """Compute maps and boundaries of a study; if it names a vehicle `before`, also the boundaries of that one."""
     envelope, output = _envelope_of(study), _PartOutput(study, folder)
@@ -121,10 +129,7 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
         output.tables.append(files.boundary_table(boundary))
         data["boundaries"][boundary.declared.name] = files.boundary_data(boundary)
     output.notes += files.flight_notes(flights.flown)
-    guidance = base_entry(study).guidance
-    output.notes += filter(None, (held_alpha(f.case, guidance) for f in flights.flown))
-    if any(f.case.lateral_cg_m != 0.0 for f in flights.flown):
-        output.notes.append(NOT_TESTABLE)
+    output.notes += _guidance_notes(study, [f.case for f in flights.flown])
     if envelope.before is not None and boundaries:
         data["before"] = _compare_with_before(RevisionBoundaries(study, boundaries), envelope, engine, progress, output)
     return output.result(data | {"notes": output.notes})
