@@ -52,8 +52,7 @@ def close_loop(
 
     directories = find_records(records, root)
     if joint:
-        if scheduler is not None or workers is not None:
-            raise InputError("--joint: the records are searched in one process; leave out --scheduler and --workers")
+        _require_one_process(scheduler, workers)
         _close_jointly(directories, out, parameters, root)
         return
     if len(directories) == 1:
@@ -84,6 +83,11 @@ def close_loop(
         raise RunError(f"{len(failed)} of {len(rows)} records failed; the others are done and kept")
 
 
+def _require_one_process(scheduler: str | None, workers: int | None) -> None:
+    if scheduler is not None or workers is not None:
+        raise InputError("--joint: the records are searched in one process; leave out --scheduler and --workers")
+
+
 def _close_jointly(directories: list[Path], out: Path, parameters: tuple[str, ...] | None, root: Path | None) -> None:
     """Close the loop on each record and on all together, write the files, and print what each adds."""
     from sim_heating.base.files import require_writable
@@ -95,8 +99,9 @@ def _close_jointly(directories: list[Path], out: Path, parameters: tuple[str, ..
 
     loaded = load_records(directories, root=root)
     inputs = [record.directory for record in loaded]
-    for folder, expected in ((out, JOINT_FILES), *((out / record.name, FILES) for record in loaded)):
-        require_writable(folder, "close-loop", expected=expected, inputs=inputs)
+    require_writable(out, "close-loop", expected=JOINT_FILES, inputs=inputs)
+    for record in loaded:
+        require_writable(out / record.name, "close-loop", expected=FILES, inputs=inputs)
     with console.progress_line("close-loop") as progress:
         closed = close_loops(loaded, parameters, progress=progress)
         names = write_joint_loop(closed, out)

@@ -474,14 +474,16 @@ def design(
         console.print_table(report.instruments_table(designed))
     if contents["locations"]:
         console.CONSOLE.print(f"locations, bounds over the ratio: {_ranking(contents)}")
-    for face in contents["interfaces"]:
-        console.CONSOLE.print(
-            f"interface of {face['control_point']} behind {face['upstream']}: heating {face['largest_excess']:+.1%} at "
-            f"most, at {face['largest_at_s']:.0f} s; in the manoeuvres up to {face['largest_in_manoeuvres']:.1%}"
-        )
-    for line in report.notes(designed):
+    for line in (*map(_interface_in_words, contents["interfaces"]), *report.notes(designed)):
         console.CONSOLE.print(line)
     console.print_outputs(out, names, "design.json")
+
+
+def _interface_in_words(face: dict[str, Any]) -> str:
+    return (
+        f"interface of {face['control_point']} behind {face['upstream']}: heating {face['largest_excess']:+.1%} at "
+        f"most, at {face['largest_at_s']:.0f} s; in the manoeuvres up to {face['largest_in_manoeuvres']:.1%}"
+    )
 
 
 def _ranking(contents: dict[str, Any]) -> str:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli import console
 from sim_heating.cli.output import report_files, report_results
+
+if TYPE_CHECKING:
+    from sim_heating.heating.ratio.table import RatioTable
 
 
 @click.command("update-tables")
@@ -188,36 +192,48 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
       sim-heating table aero.dml --out my_vehicle/aero          # and back, as its CSV files
     """
     from sim_heating.base.files import display_path
-    from sim_heating.heating.exchange.ratio_formats import read_table, write_table
-    from sim_heating.inputs.vehicle import load_vehicle
+    from sim_heating.heating.exchange.ratio_formats import write_table
 
     if vehicle is not None:
         _tables_of_body_points(Path(source), vehicle, out, farthest, root)
         return
     name, _, point_name = source.rpartition("/")
-    is_point = name and not Path(source).is_file() and not Path(source).suffix
-    if out is not None and is_point and point_name == "aero":
+    if Path(source).is_file() or Path(source).suffix:
+        name = ""  # SOURCE is no point of a vehicle
+    if out is None:
+        _describe_table(source, _table_of(source, name, point_name, root))
+        return
+    if name and point_name == "aero":
         _export_aero(name, out, root)
         return
-    if out is not None and out.name == "aero":
+    if out.name == "aero":
         _import_aero(source, out)
         return
-    read = load_vehicle(name, root=root).control_point(point_name).ratio if is_point else read_table(source)
-    if out is None:
-        nodes = [len(axis) for axis in read.axes]
-        shape = " x ".join(map(str, nodes))
-        console.CONSOLE.print(f"{source}: {shape} nodes, ratio {read.ratio.min():.4g} to {read.ratio.max():.4g}")
-        report_results({"nodes": nodes, "header": dict(read.header)})
-        return
+    read = _table_of(source, name, point_name, root)
     _require_no_file(out, "name")
     if out.suffix.lower() != ".xml":
         write_table(out, read)
-    elif is_point:
+    elif name:
         _write_jsbsim_system(name, point_name, out, root)
     else:
         raise InputError(f"{source}: a system of JSBSim needs the wall of a point; give VEHICLE/POINT as the source")
     report_files(None, [out])
     console.CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+
+
+def _table_of(source: str, vehicle: str, point_name: str, root: Path | None) -> RatioTable:
+    """The table of a file; of a vehicle's point where that is named."""
+    from sim_heating.heating.exchange.ratio_formats import read_table
+    from sim_heating.inputs.vehicle import load_vehicle
+
+    return load_vehicle(vehicle, root=root).control_point(point_name).ratio if vehicle else read_table(source)
+
+
+def _describe_table(source: str, table: RatioTable) -> None:
+    nodes = [len(axis) for axis in table.axes]
+    shape = " x ".join(map(str, nodes))
+    console.CONSOLE.print(f"{source}: {shape} nodes, ratio {table.ratio.min():.4g} to {table.ratio.max():.4g}")
+    report_results({"nodes": nodes, "header": dict(table.header)})
 
 
 def _require_no_file(path: Path, other: str) -> None:
