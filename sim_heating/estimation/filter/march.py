@@ -216,6 +216,19 @@ class FilterMarch(LinearMarch):
         self.points = tuple(points)
         super().__init__([p.linear() for p in self.points], time_s, histories)
 
+    def _require_finite(self, points: Sequence[FilterTrack], state: State) -> None:
+        """Refuse a filter that diverged, with the effect that is the cause where one is."""
+        for i, point in enumerate(points):
+            step = state.diverged[self._lane_of[i]]
+            for use in point.model.effects if step else ():
+                if fault := unusable_value(use, self.time_s, self.histories[point.flight]):
+                    raise RunError(f"{point.model.name}: {fault}")
+            if step:
+                raise RunError(
+                    f"{point.model.name}: the filter diverged at {self.time_s[step]:g} s: a temperature fell below "
+                    "0 K or is not a number; the noise declared does not fit the readings"
+                )
+
     def filter(self, points: Sequence[FilterTrack] | None = None, *, keep: bool = False) -> list[Filtered]:
         """Filter all points through their flights and readings.
 
@@ -238,8 +251,7 @@ class FilterMarch(LinearMarch):
         most = max([int(np.max(np.bincount(s), initial=0)) for s in steps])
         state, history = self._state(points, n, m), self._history(points, n, keep)
         readings, after_s = self._readings(points, m), np.zeros(len(points))
-        for i, point in enumerate(points):
-            after_s[self._lane_of[i]] = point.freeze_after_s
+        after_s[self._lane_of] = [point.freeze_after_s for point in points]
         # Frozen gains skip F L and F, from which the smoother's transition is read.
         if keep and np.any(np.isfinite(after_s)):
             raise InputError("filter: a smoother needs the covariance of every step; leave freeze_after_s out")
@@ -249,7 +261,7 @@ class FilterMarch(LinearMarch):
             self._noise(points, n),
             frozen_gains(after_s, most, n + 1),
             history,
-            workspace(n, 1 + m + (2 if keep else 1) * (n + 1)),
+            workspace(n, 1 + m + (1 + keep) * (n + 1)),
             step_readings(most, n + 1, m),
             np.zeros(n + 1),
             np.zeros((n + 1, n + 1)),
@@ -262,16 +274,7 @@ class FilterMarch(LinearMarch):
         kernel.begin_march(group, self._flights)
         kernel.filter_steps(group, X, self._groups, self._offsets(1 + m), self._flights, True, arrays, out)
         self._take_over(group.B)
-        for i, point in enumerate(points):
-            step = state.diverged[self._lane_of[i]]
-            if step:
-                for use in point.model.effects:
-                    if fault := unusable_value(use, self.time_s, self.histories[point.flight]):
-                        raise RunError(f"{point.model.name}: {fault}")
-                raise RunError(
-                    f"{point.model.name}: the filter diverged at {self.time_s[step]:g} s: a temperature fell below "
-                    "0 K or is not a number; the noise declared does not fit the readings"
-                )
+        self._require_finite(points, state)
         self.nominal.check()
         return [self._filtered(i, points[i], steps[i], out, state, history) for i in range(len(points))]
 
