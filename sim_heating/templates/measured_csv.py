@@ -70,6 +70,7 @@ from sim_heating.templates.quantities import quantity
 UNUSED = "not used"
 """Kind of a column that is none of those of a layout."""
 SAYS_NOTHING = "name and unit say nothing"
+OF_FLOW = "a temperature of the flow"
 FEW_NUMBERS, NO_CELLS = "most cells hold no number", "all cells are empty"
 UNIT_KEYS = {TIME: "time_unit", TEMPERATURE: "temperature_unit", FLUX: "flux_unit"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
@@ -738,10 +739,8 @@ def _kind_of(head: _Head) -> tuple[str, str, str]:
     """Kind of a column, its unit where the kind follows from it, and why."""
     name, unit = head.name, head.unit
     by_unit, by_name = _kind_by_unit(unit), _kind_by_name(name)
-    if re.fullmatch(FREE_STREAM, name) and not re.search(f"{UNCERTAIN}|{DIFFERENCE}", name):
-        return UNUSED, unit, "a temperature of the flow, by its name"
     if other := _other_quantity(head, by_unit):
-        return UNUSED, "", f"{other}, by its name"
+        return UNUSED, unit if other == OF_FLOW else "", f"{other}, by its name"
     may_be_a_minimum = (by_unit, by_name) == (TIME, TEMPERATURE) and unit.strip().lower() == "min"
     if by_unit != UNUSED and not may_be_a_minimum:
         return by_unit, unit, head.emf or f"unit {unit}"
@@ -764,6 +763,8 @@ def _other_quantity(head: _Head, by_unit: str) -> str:
     for pattern, meaning in ((UNCERTAIN, "an uncertainty"), (DIFFERENCE, "a difference")):
         if re.search(pattern, head.name):
             return meaning
+    if re.fullmatch(FREE_STREAM, head.name):
+        return OF_FLOW
     if re.fullmatch(COUNTER, head.name) and by_unit not in (TEMPERATURE, FLUX):
         return "a counter"
     is_called = re.fullmatch(CHANNEL, head.name) and by_unit == UNUSED
