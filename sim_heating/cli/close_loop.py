@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.cli import console
 from sim_heating.cli.output import report_files, report_results
@@ -46,9 +47,7 @@ def close_loop(
     """
     from sim_heating.base.files import all_files_written, require_writable
     from sim_heating.closure.batch import close_all, find_records, summary_row
-    from sim_heating.closure.close import FILES, write_closed_loop
-    from sim_heating.closure.close import close_loop as close_one
-    from sim_heating.inputs.record import load_record
+    from sim_heating.closure.close import FILES
 
     directories = find_records(records, root)
     if joint:
@@ -56,11 +55,11 @@ def close_loop(
         _close_jointly(directories, out, parameters, root)
         return
     if len(directories) == 1:
-        record = load_record(directories[0], root=root)
+        record = sh.load_record(directories[0], root=root)
         require_writable(out, "close-loop", expected=FILES, inputs=[record.directory])
         with console.progress_line(record.name) as progress:
-            closed = close_one(record, parameters, progress=progress)
-            names = write_closed_loop(closed, out)
+            closed = sh.close_loop(record, parameters, progress=progress)
+            names = sh.write_closed_loop(closed, out)
         _print_rows([summary_row(closed.report)])
         _print_details(closed.report)
         console.print_outputs(out, names, "closure.json")
@@ -92,7 +91,7 @@ def _close_jointly(directories: list[Path], out: Path, parameters: tuple[str, ..
     """Close the loop on each record and on all together, write the files, and print what each adds."""
     from sim_heating.base.files import require_writable
     from sim_heating.closure.batch import summary_row
-    from sim_heating.closure.close import FILES, close_loops, write_joint_loop
+    from sim_heating.closure.close import FILES
     from sim_heating.closure.report.records import evidence_table
     from sim_heating.closure.result import JOINT_FILES
     from sim_heating.inputs.record import load_records
@@ -103,8 +102,8 @@ def _close_jointly(directories: list[Path], out: Path, parameters: tuple[str, ..
     for record in loaded:
         require_writable(out / record.name, "close-loop", expected=FILES, inputs=inputs)
     with console.progress_line("close-loop") as progress:
-        closed = close_loops(loaded, parameters, progress=progress)
-        names = write_joint_loop(closed, out)
+        closed = sh.close_loops(loaded, parameters, progress=progress)
+        names = sh.write_joint_loop(closed, out)
     _print_rows([summary_row(loop.report) for loop in closed.loops])
     console.print_table(evidence_table(closed.report))
     report = closed.report

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.cli import console
 from sim_heating.cli.parameter_options import merged_settings, parameter_options
@@ -279,9 +280,7 @@ def estimate(
     if segments is not None:
         _estimate_trend(records, out, stated, segments, root, settings_file)
         return
-    from sim_heating.closure.prior.model_error import stated_error
-    from sim_heating.estimation.fit import estimate as fit_records
-    from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
+    from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files
     from sim_heating.inputs.record import load_records
 
     loaded = load_records(records, root=root)
@@ -290,7 +289,7 @@ def estimate(
     files = output_files(loaded, filtered=noise is not None, profiles=bool(profiles))
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
     with console.progress_line("estimate") as progress, _in_settings(settings_file):
-        fitted = fit_records(
+        fitted = sh.estimate(
             loaded,
             stated.parameters,
             reference=stated.reference_condition,
@@ -300,12 +299,12 @@ def estimate(
             ties=stated.tie,
             starts=starts,
             process_noise=noise,
-            error_of=stated_error if model_error else None,
+            error_of=sh.stated_error if model_error else None,
             profiles=profiles,
             progress=progress,
         )
         progress(0.95, "writing")
-        names = write_fit(fitted, out)
+        names = sh.write_fit(fitted, out)
     contents = estimate_contents(fitted)
     console.print_table(estimate_table(f"{', '.join(r.name for r in loaded)}: estimate", contents))
     _print_fit(fitted, contents)
@@ -345,13 +344,12 @@ def _estimate_trend(
     from sim_heating.base.files import require_writable
     from sim_heating.estimation.report.report import TREND, write_trend
     from sim_heating.estimation.trend import trend
-    from sim_heating.inputs.record import load_record
 
     if len(records) > 1:
         raise InputError(f"--segments: {len(records)} records are given; segments are fitted to one record at a time")
     if stated.tie:
         raise InputError("--segments: each segment has its own parameters; leave out --tie")
-    loaded = load_record(records[0], root=root)
+    loaded = sh.load_record(records[0], root=root)
     with _in_settings(settings_file):
         (record,), (start,) = _with_segments([loaded], stated)
     require_writable(out, "estimate", expected=TREND, inputs=[record.directory])
@@ -455,10 +453,10 @@ def design(
     """Design a scenario's manoeuvres: the bounds they would give, the most informative ones, other instruments."""
     from sim_heating.base.files import require_writable
     from sim_heating.estimation.design import report
-    from sim_heating.inputs.scenario import load_scenario, with_design
+    from sim_heating.inputs.scenario import with_design
 
     stated = {"parameters": parameters and list(parameters), "criterion": criterion, "evaluations": evaluations}
-    loaded = with_design(load_scenario(scenario, root=root), {k: v for k, v in stated.items() if v is not None})
+    loaded = with_design(sh.load_scenario(scenario, root=root), {k: v for k, v in stated.items() if v is not None})
     require_writable(out, "design", expected=report.FILES, inputs=loaded.files)
     with console.progress_line("design") as progress:
         designed = report.design(loaded, repetitions=repetitions, progress=progress)

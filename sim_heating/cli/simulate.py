@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.cli import console
 
@@ -83,33 +84,23 @@ def run(
 ) -> None:
     """Fly a scenario: trajectory, heating, temperatures, plots."""
     from sim_heating.base.files import require_writable
-    from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.results import limits_in_words, run_table
-    from sim_heating.simulation.run import (
-        files_of,
-        fly_beside,
-        load_writers,
-        require_points,
-        rmse_by_point,
-        run,
-        summary,
-        write_run,
-    )
+    from sim_heating.simulation.run import files_of, fly_beside, load_writers, require_points, rmse_by_point, summary
 
-    loaded = load_scenario(scenario, root=root)
+    loaded = sh.load_scenario(scenario, root=root)
     of_bands = _members(members, bands, root)
     if plot_points is not None:
         require_points(plot_points, loaded.names, "--plot-points")
     require_writable(out, "run", expected=files_of(loaded), inputs=loaded.files)
     with console.progress_line(loaded.title) as progress:
         flight = fly_beside(loaded, load_writers, progress)
-        result = run(loaded, flight=flight, progress=progress)
+        result = sh.run(loaded, flight=flight, progress=progress)
         if bands:
             from sim_heating.planning.bands import with_bands
 
             progress(0.9, "marching what is uncertain")
             result = with_bands(result, of_bands)
-        names = write_run(result, out, points=plot_points, progress=progress)
+        names = sh.write_run(result, out, points=plot_points, progress=progress)
     contents = summary(result)
     _print_with_margins(run_table(loaded.title, contents, rmse_by_point(result)))
     console.CONSOLE.print(limits_in_words(contents))
@@ -176,19 +167,17 @@ def synthesize(scenario: Path, out: Path, root: Path | None) -> None:
     import numpy as np
 
     from sim_heating.base.files import require_writable
-    from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.run import fly_beside
-    from sim_heating.simulation.synthesize import files_of, load_writers, write_records
-    from sim_heating.simulation.synthesize import synthesize as fly_and_measure
+    from sim_heating.simulation.synthesize import files_of, load_writers
 
-    loaded = load_scenario(scenario, root=root)
+    loaded = sh.load_scenario(scenario, root=root)
     if not any(loaded.vehicle.control_point(name).sensors for name in loaded.names):
         raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
     require_writable(out, "synthesize", expected=files_of(loaded), inputs=loaded.files)
     with console.progress_line(loaded.title) as progress:
         flight = fly_beside(loaded, load_writers, progress)
-        records = fly_and_measure(loaded, flight=flight, progress=progress)
-        names = write_records(loaded, records, out)
+        records = sh.synthesize(loaded, flight=flight, progress=progress)
+        names = sh.write_records(loaded, records, out)
     samples = sum(int(np.sum(np.isfinite(r.temperatures_K()))) for r in records.values())
     count = f"{len(records)} record" + ("s" if len(records) > 1 else "")
     seed = loaded.declared.measurements.seed
@@ -201,11 +190,10 @@ def synthesize(scenario: Path, out: Path, root: Path | None) -> None:
 def demo(out: Path) -> None:
     """The main job: a JSBSim entry through a Mach-20 POPU, its thermocouple data, and a comparison with STS-96."""
     from sim_heating.base.files import require_writable
-    from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation import run, synthesize
     from sim_heating.simulation.results import limits_in_words, rmse_table, run_table
 
-    popu, sts96 = (load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
+    popu, sts96 = (sh.load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
     popu = with_installed_source(popu)
     for folder, scenario, module in (("popu", popu, run), ("records", popu, synthesize), ("sts96", sts96, run)):
         command = module.__name__.rpartition(".")[2]
@@ -291,11 +279,10 @@ def _send_result(sender: Any, function: Callable[..., Any], *arguments: Any) -> 
 
 def _run_and_write(scenario: Path, out: Path) -> tuple[dict[str, float], list[str]]:
     """Run a scenario, write its files; RMSE [K] against measured histories by control point, and names of files."""
-    from sim_heating.inputs.scenario import load_scenario
-    from sim_heating.simulation.run import rmse_by_point, run, write_run
+    from sim_heating.simulation.run import rmse_by_point
 
-    result = run(load_scenario(scenario))
-    return rmse_by_point(result), write_run(result, out)
+    result = sh.run(sh.load_scenario(scenario))
+    return rmse_by_point(result), sh.write_run(result, out)
 
 
 def _scenario_folder() -> Path:
@@ -333,16 +320,14 @@ def predict(
     from sim_heating.inputs.declared_effects import left_out
     from sim_heating.inputs.points import undeclared_effects
     from sim_heating.inputs.record import load_records
-    from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.simulation.predict import FILES, load_writers, summary
-    from sim_heating.simulation.predict import predict as predict_record
     from sim_heating.simulation.results import prediction_table
 
     loaded = load_records(records, root=root)
     inputs = [record.directory for record in loaded]
     revised = None
     if vehicle is not None:
-        revised = load_vehicle(vehicle, root=root)
+        revised = sh.load_vehicle(vehicle, root=root)
         inputs.append(revised.directory)
     folders = [out if len(loaded) == 1 else out / record.name for record in loaded]
     require_writable(out, "predict", inputs=inputs)
@@ -363,7 +348,7 @@ def predict(
 
                 prediction = predict_with_band(record, of_bands, model, flow)
             else:
-                prediction = predict_record(record, model, flow=flow)
+                prediction = sh.predict(record, model, flow=flow)
             _ = prediction.credibility  # kept with it: kernels are then loaded in one process alone
             predictions.append(prediction)
         return predictions
@@ -382,9 +367,9 @@ def predict(
 
 def _write_predictions(predictions: list[Prediction], folders: list[Path], out: Path) -> list[Path | str]:
     """Write each prediction into its folder, and the page of several; names of the files below `out`."""
-    from sim_heating.simulation.predict import write_prediction, write_predictions_page
+    from sim_heating.simulation.predict import write_predictions_page
 
     names: list[Path | str] = []
     for prediction, folder in zip(predictions, folders, strict=True):
-        names += [(folder / name).relative_to(out) for name in write_prediction(prediction, folder)]
+        names += [(folder / name).relative_to(out) for name in sh.write_prediction(prediction, folder)]
     return [*names, write_predictions_page(predictions, out)] if len(predictions) > 1 else names

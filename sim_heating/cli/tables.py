@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError
 from sim_heating.cli import console
 from sim_heating.cli.output import report_files, report_results
@@ -152,10 +153,9 @@ def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
       sim-heating measured-records scenarios/sts96_iss.toml --out records
     """
     from sim_heating.base.files import display_path, files_written
-    from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.measured_records import write_compared_records
 
-    paths = write_compared_records(load_scenario(scenario, root=root), out)
+    paths = write_compared_records(sh.load_scenario(scenario, root=root), out)
     report_files(out, files_written(out))
     report_results({"records": paths})
     for path in paths:
@@ -224,9 +224,8 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
 def _table_of(source: str, vehicle: str, point_name: str, root: Path | None) -> RatioTable:
     """The table of a file; of a vehicle's point where that is named."""
     from sim_heating.heating.exchange.ratio_formats import read_table
-    from sim_heating.inputs.vehicle import load_vehicle
 
-    return load_vehicle(vehicle, root=root).control_point(point_name).ratio if vehicle else read_table(source)
+    return sh.load_vehicle(vehicle, root=root).control_point(point_name).ratio if vehicle else read_table(source)
 
 
 def _describe_table(source: str, table: RatioTable) -> None:
@@ -259,7 +258,6 @@ def _import_aero(source: str, out: Path) -> None:
 def _export_aero(vehicle: str, out: Path, root: Path | None) -> None:
     """Write the aerodynamics of a vehicle as DAVE-ML."""
     from sim_heating.base.files import display_path, replaces_others
-    from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.trajectory.aero import load_aero
     from sim_heating.trajectory.aero_exchange import export_aero
 
@@ -267,7 +265,7 @@ def _export_aero(vehicle: str, out: Path, root: Path | None) -> None:
         raise InputError(f"{display_path(out)}: aerodynamics are written as DAVE-ML; name a file that ends in .dml")
     if out.exists() and not replaces_others():
         raise InputError(f"{display_path(out)}: exists; choose another name, or --force replaces it")
-    export_aero(load_aero(load_vehicle(vehicle, root=root).directory), out)
+    export_aero(load_aero(sh.load_vehicle(vehicle, root=root).directory), out)
     report_files(None, [out])
     console.CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
 
@@ -279,10 +277,9 @@ def _write_jsbsim_system(vehicle: str, point_name: str, out: Path, root: Path | 
     """
     from sim_heating.base.files import write_text_atomic
     from sim_heating.inputs.points import wall_enthalpy_of
-    from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.trajectory.jsbsim.heating_system import jsbsim_system_text
 
-    loaded = load_vehicle(vehicle, root=root)
+    loaded = sh.load_vehicle(vehicle, root=root)
     point = loaded.control_point(point_name)
     emissivity = point.construction.layer_materials()[0].emissivity
     if emissivity is None:
@@ -306,11 +303,10 @@ def _tables_of_body_points(source: Path, vehicle: str, out: Path | None, farthes
     from sim_heating.base.files import display_path
     from sim_heating.heating.exchange.body_points import tables_of_body_points
     from sim_heating.heating.exchange.ratio_formats import write_table
-    from sim_heating.inputs.vehicle import load_vehicle
 
     if out is None or out.suffix:
         raise InputError("table --vehicle: give --out DIR, a folder for the tables of the control points")
-    loaded = load_vehicle(vehicle, root=root)
+    loaded = sh.load_vehicle(vehicle, root=root)
     positions = {name: loaded.control_point(name).position_m for name in loaded.control_points}
     tables = tables_of_body_points(
         source,

@@ -29,19 +29,9 @@ from sim_heating.base.files.text import and_more_rows, listed
 from sim_heating.base.files.units import converted, known_unit, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
+from sim_heating.heating.recorded.cells import clocks
 from sim_heating.heating.recorded.cells import text as cell_text
 from sim_heating.heating.recorded.cells.block import Block
-from sim_heating.heating.recorded.cells.clocks import (
-    ANY_ORDER,
-    CLOCKS,
-    LONGEST_STEP_S,
-    ORDERS,
-    Clock,
-    clock_of,
-    over_midnight,
-    possible_clock,
-    with_colons,
-)
 from sim_heating.heating.recorded.cells.lists import wide_columns
 from sim_heating.heating.recorded.cells.numbers import (
     Numbers,
@@ -245,7 +235,7 @@ class _Head:
     name: str
     stated: str
     numbers: Numbers
-    clock: Clock | None
+    clock: clocks.Clock | None
     cells: list[str]
     emf: str = ""
 
@@ -588,16 +578,16 @@ def _bare(name: str) -> str:
 def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     """Names, units and cells of the columns, by one layout of numbers for the file."""
     names, stated = _names_and_units(block)
-    if (layout := chosen.time_unit) in CLOCKS:
+    if (layout := chosen.time_unit) in clocks.CLOCKS:
         times = {*filter(_is_called_time, names), chosen.time}
-        as_clock = [with_colons(c, layout) if n in times else c for n, c in zip(names, block.cells, strict=True)]
+        as_clock = [clocks.with_colons(c, layout) if n in times else c for n, c in zip(names, block.cells, strict=True)]
         block = replace(block, cells=tuple(as_clock))
-    clocks = {k for k in range(len(names)) if _mostly(block.column(k), cell_text.is_clock)}
-    signs = number_signs(block, sorted({*range(len(names))} - clocks), chosen.decimal)
+    of_clocks = {k for k in range(len(names)) if _mostly(block.column(k), cell_text.is_clock)}
+    signs = number_signs(block, sorted({*range(len(names))} - of_clocks), chosen.decimal)
     heads = []
     for k, (name, unit) in enumerate(zip(names, stated, strict=True)):
         cells = block.column(k)
-        may_be_clock = k in clocks or (_is_called_time(name) and _mostly(cells, _is_all_digits))
+        may_be_clock = k in of_clocks or (_is_called_time(name) and _mostly(cells, _is_all_digits))
         clock = _clock_of_column(block, k, names, unit, chosen) if may_be_clock else None
         head = _Head(name, unit, numbers_of(cells, signs), clock, cells)
         require_one_unit(block, k, head.numbers, unit, list(SI_UNITS.values()))
@@ -639,7 +629,9 @@ def _is_called_time(name: str) -> bool:
     return re.search(HEADS[0][1], name) is not None
 
 
-def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chosen: LoggerLayout) -> Clock | None:
+def _clock_of_column(
+    block: Block, k: int, names: Sequence[str], unit: str, chosen: LoggerLayout
+) -> clocks.Clock | None:
     """Times of a column of clocks; None where another one is the time.
 
     raises : InputError where its layout is not clear, and it is the time
@@ -651,7 +643,7 @@ def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chos
     try:
         location = f"{display_path(block.path)}, column {name}"
         layout = _clock_word(unit) or chosen.time_unit
-        return clock_of(block.column(k), location, chosen.dates, layout, chosen.option("dates"))
+        return clocks.clock_of(block.column(k), location, chosen.dates, layout, chosen.option("dates"))
     except InputError:
         is_called = _is_called_time(name) or not any(map(_is_called_time, names))
         if not is_another and (chosen.time is not None or is_called):
@@ -670,7 +662,7 @@ def _is_all_digits(cell: str) -> bool:
 def _clock_word(unit: str) -> str | None:
     """The layout of a clock that a head states, as `hh:mm`."""
     text = unit.strip().lower()
-    return text if text in CLOCKS else None
+    return text if text in clocks.CLOCKS else None
 
 
 def _mostly(cells: Sequence[str], holds: object) -> bool:
@@ -688,19 +680,19 @@ def _joined_dates(heads: list[_Head]) -> list[_Head]:
 
 
 def _with_date(heads: list[_Head]) -> list[_Head]:
-    clocks = [(h, h.clock) for h in heads if h.clock is not None]
-    days = [(h, c) for h, c in clocks if c.day_s is not None and not c.has_time]
-    hours = [(h, c) for h, c in clocks if c.day_s is None]
+    timed = [(h, h.clock) for h in heads if h.clock is not None]
+    days = [(h, c) for h, c in timed if c.day_s is not None and not c.has_time]
+    hours = [(h, c) for h, c in timed if c.day_s is None]
     if not (days and hours):
         return heads
     (of_day, day), (of_time, time) = days[0], hours[0]
-    clock = Clock(day.seconds + time.seconds, day.day_s, True, f"{day.layout} in `{of_day.name}`, {time.layout}")
+    clock = clocks.Clock(day.seconds + time.seconds, day.day_s, True, f"{day.layout} in `{of_day.name}`, {time.layout}")
     return _with_clocks(heads, {of_time.name: clock, of_day.name: None})
 
 
-def _with_clocks(heads: list[_Head], clocks: Mapping[str, Clock | None]) -> list[_Head]:
-    """Columns of which some have other clocks; clocks : by their names, of which no two are alike."""
-    return [replace(h, clock=clocks.get(h.name, h.clock)) for h in heads]
+def _with_clocks(heads: list[_Head], others: Mapping[str, clocks.Clock | None]) -> list[_Head]:
+    """Columns of which some have other clocks; others : by the names of the columns, of which no two are alike."""
+    return [replace(h, clock=others.get(h.name, h.clock)) for h in heads]
 
 
 def _with_milliseconds(heads: list[_Head]) -> list[_Head]:
@@ -997,8 +989,8 @@ def _no_time(block: Block, called: _Head | None) -> InputError:
 
 def _best_time(readable: Sequence[CsvColumn], by_name: Mapping[str, _Head]) -> CsvColumn:
     """Of columns of times the first that is more than a day and not the same in all rows, as far as there is one."""
-    clocks = {c.name: by_name[c.name].clock for c in readable}
-    with_time = [c for c in readable if (clock := clocks[c.name]) is None or clock.has_time] or readable
+    clock_of_column = {c.name: by_name[c.name].clock for c in readable}
+    with_time = [c for c in readable if (clock := clock_of_column[c.name]) is None or clock.has_time] or readable
     return next((c for c in with_time if _moves(by_name[c.name])), with_time[0])
 
 
@@ -1025,11 +1017,11 @@ def _clock_time(
     seconds, notes = clock.seconds, []
     _require_times(block, head, seconds)
     if clock.day_s is None:
-        seconds, note = over_midnight(clock)
+        seconds, note = clocks.over_midnight(clock)
         if note:
             notes.append(f"`{head.name}` {note}")
     first = float(seconds[np.flatnonzero(np.isfinite(seconds))[0]])
-    zero = first if clock.day_s is None else None if ANY_ORDER in clock.layout else clock.day_s + first
+    zero = first if clock.day_s is None else None if clocks.ANY_ORDER in clock.layout else clock.day_s + first
     t = np.round(seconds - first, 6)
     _warn_of_an_hour(block, head.name, t)
     elapsed = replace(column, values=t, unit="s", reason=f"{clock.layout}, counted from the first")
@@ -1098,7 +1090,7 @@ def _unit_of_time(
     """
     unit = chosen.time_unit
     location = f"{display_path(block.path)}, column {head.name}"
-    if unit in CLOCKS:
+    if unit in clocks.CLOCKS:
         cell = next(c for c in head.cells if c)
         place = chosen.place("time_unit")
         raise InputError(f"{place}: `{cell}` in {location} is no such clock; give s, ms, min or h")
@@ -1133,14 +1125,14 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
     if _are_within(values, *LABVIEW_S):
         return "s", "", f"{column.reason}; s since 1904 by the size"
     step = float(np.median(np.diff(values))) if len(values) > 1 else 1.0
-    if len(values) > 1 and (clock := possible_clock(values)):
+    if len(values) > 1 and (clock := clocks.possible_clock(values)):
         raise InputError(
             f"{display_path(block.path)}, column {head.name}: `{head.cells[0]}` may be a time of day or seconds; state "
             f"--time-unit {clock} or --time-unit s"
         )
     if _are_days(values) and step < 0.05:
         return "day", "", f"{column.reason}; days of a spreadsheet by the size"
-    if not SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
+    if not SHORTEST_STEP_S <= step <= clocks.LONGEST_STEP_S:
         raise InputError(
             f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are hardly s; "
             f"state it, --time-unit {_likely_unit(values, step)}"
@@ -1150,7 +1142,7 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
 
 def _likely_unit(values: FloatArray, step: float) -> str:
     """Unit of times whose step is hardly one in seconds."""
-    if step > LONGEST_STEP_S:
+    if step > clocks.LONGEST_STEP_S:
         return "us" if step > 5e5 else "ms"
     return "day" if values.min() >= DAY_NUMBERS[0] else "s"
 
@@ -1573,7 +1565,7 @@ def _layout_column(column: CsvColumn, states_unit: bool) -> LayoutColumn:
 
 def _order_of_dates(clock: CsvColumn) -> str | None:
     """Order of the dates of a clock; None where there are none, or the year stands first, which says it itself."""
-    order = next((o for o, order_text in ORDERS.items() if f"dates {order_text}" in clock.reason), None)
+    order = next((o for o, order_text in clocks.ORDERS.items() if f"dates {order_text}" in clock.reason), None)
     return None if order == "year-first" else order
 
 

@@ -18,7 +18,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SHUTTLE_MACH_M_S, Conditions
 from sim_heating.base.report.figure import new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
-from sim_heating.campaign.figures.flown import POPU, FlownData, LeftOut
+from sim_heating.campaign.figures.flown_data import POPU, FlownData, LeftOut
 from sim_heating.campaign.flights import CampaignFlight
 from sim_heating.inputs.points import conditions_behind_walls, excess_behind_interface, point_of_vehicle
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle

@@ -26,7 +26,7 @@ from sim_heating.campaign.figures import (
     tunnel,
 )
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement
-from sim_heating.campaign.figures.flown import FLAP, POPU, FlownData, LeftOut
+from sim_heating.campaign.figures.flown_data import FLAP, POPU, FlownData, LeftOut
 from sim_heating.campaign.flights import SCENARIO_SUFFIX, CampaignFlight, flight_of_scenario, read_flights
 from sim_heating.campaign.spec import Campaign, load_campaign
 from sim_heating.simulation.run import fly_scenario

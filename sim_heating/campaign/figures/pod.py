@@ -11,7 +11,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.report.figure import legend_above, new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
-from sim_heating.campaign.figures.flown import (
+from sim_heating.campaign.figures.flown_data import (
     COATING,
     LAG_TIME,
     ONSET,

@@ -15,7 +15,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.parameters import SHORT_NAMES
 from sim_heating.base.report.figure import new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
-from sim_heating.campaign.figures.flown import (
+from sim_heating.campaign.figures.flown_data import (
     FLAP,
     POPU,
     SIGMAS,

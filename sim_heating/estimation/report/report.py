@@ -18,13 +18,8 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.design.information import sensitivity_to_effort
 from sim_heating.estimation.fit import FitResult, rms_normalised_residual
+from sim_heating.estimation.inference import residual_tests
 from sim_heating.estimation.inference.observability import fitted_rows
-from sim_heating.estimation.inference.residual_tests import (
-    HypothesisTest,
-    SensorResiduals,
-    chi_square,
-    sensor_residuals,
-)
 from sim_heating.estimation.report.estimate_file import (
     NAME,
     Estimate,
@@ -246,12 +241,12 @@ def noise_floor_K(fitted: FitResult) -> float | None:
     return float(np.sqrt(total / count)) if count and np.isfinite(total) else None
 
 
-def sensor_residual_tests(fitted: FitResult) -> list[SensorResiduals]:
+def sensor_residual_tests(fitted: FitResult) -> list[residual_tests.SensorResiduals]:
     """Normalised residuals of every fitted sensor, and their tests; the random draws are the same every time."""
     rng = np.random.default_rng(0)
     is_joint = len(fitted.problem.record_fits) > 1
     return [
-        sensor_residuals(
+        residual_tests.sensor_residuals(
             f"{s.record_fit.record.name}/{s.channel.sensor.name}" if is_joint else s.channel.sensor.name,
             s.time_s,
             s.channel.intervals,
@@ -269,7 +264,7 @@ def residual_statistics(fitted: FitResult) -> dict[str, Any]:
     noise = [s.sigma_K for s in fitted.samples()]
     every = np.concatenate([r.residual for r in residuals])
     return {
-        "chi_square": _test(chi_square(every, float(len(fitted.labels)))),
+        "chi_square": _test(residual_tests.chi_square(every, float(len(fitted.labels)))),
         "sensors": {
             r.name: {
                 "n": r.n,
@@ -284,7 +279,7 @@ def residual_statistics(fitted: FitResult) -> dict[str, Any]:
     }
 
 
-def _test(test: HypothesisTest | None) -> dict[str, float] | None:
+def _test(test: residual_tests.HypothesisTest | None) -> dict[str, float] | None:
     return None if test is None else {"statistic": test.statistic, "dof": test.dof, "p_value": test.p_value}
 
 
