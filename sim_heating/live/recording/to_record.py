@@ -63,7 +63,7 @@ class Stretch:
         else:
             self.readings.setdefault((sample.point, sample.sensor), {}).setdefault(sample.time_s, sample.value_K)
 
-    def add_between(self, low_s: float, high_s: float, samples: Iterable[Sample]) -> None:
+    def add_all(self, samples: Iterable[Sample], low_s: float = -math.inf, high_s: float = math.inf) -> None:
         """Add those of several whose times are in a range [s]."""
         for sample in samples:
             if low_s <= sample.time_s <= high_s:
@@ -108,17 +108,17 @@ def stretches(samples: Iterable[Sample], link: Link) -> list[Stretch]:
             if not is_gap:
                 parts.append(Stretch())
             low, high = jump.to_s - settings.jump_s, sample.time_s + settings.jump_s
-            parts[-1].add_between(low, high, (*waiting, sample))
+            parts[-1].add_all((*waiting, sample), low, high)
             waiting = []
         elif placed in (Placed.TOO_LATE, Placed.WAITING):
             waiting.append(sample)  # late, or the first on another clock: the next frame decides
         elif placed is not Placed.DOUBLED:
             parts[-1].add(sample)
             if isinstance(sample, Frame):
-                parts[-1].add_between(-math.inf, sample.time_s, waiting)
+                parts[-1].add_all(waiting, high_s=sample.time_s)
                 waiting = []
         timeline.forget(timeline.newest_s - settings.lateness_s)
-    parts[-1].add_between(-math.inf, timeline.newest_s, waiting)  # late ones that no frame came behind
+    parts[-1].add_all(waiting, high_s=timeline.newest_s)  # late ones that no frame came behind
     return parts
 
 
