@@ -4,8 +4,6 @@
 compares it with these.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache

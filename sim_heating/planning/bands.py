@@ -16,8 +16,6 @@ prior. Several sizes, and several estimates that the evidence cannot tell apart,
 normal distributions.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

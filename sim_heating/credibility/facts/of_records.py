@@ -1,7 +1,5 @@
 """Facts about predictions and fits of flight records, from which their credibility follows."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace

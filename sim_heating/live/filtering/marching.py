@@ -1,7 +1,5 @@
 """March of all filters over one step with its readings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Tables that are no text: Parquet and Excel, old and new, by pandas, TDMS of LabVIEW by npTDMS."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 source : NI, Specification for the LabVIEW Measurement File (.lvm)
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
