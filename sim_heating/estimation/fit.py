@@ -472,9 +472,7 @@ def check_profiles(names: Sequence[str], labels: Sequence[str], innovations: Inn
             raise InputError(f"profile of `{name}`: is not estimated{hint}")
 
 
-def fit_problem(
-    problem: FitProblem, first: FloatArray, *, settings: NewtonSettings | None = None, progress: Progress = no_progress
-) -> FitResult:
+def fit_problem(problem: FitProblem, first: FloatArray, *, settings: NewtonSettings | None = None) -> FitResult:
     """The fit of a problem that is set up, all of its parameters estimated.
 
     first   : (parameter,) values to start from, each in its unit
@@ -483,7 +481,7 @@ def fit_problem(
 
     Source: docs/theory/estimation_statistics.md, equations 13 to 26 and 31.
     """
-    return _fit_result(problem, _fit(problem, first, settings, progress), {}, (), None)
+    return _fit_result(problem, _fit(problem, first, settings, no_progress), {}, (), None)
 
 
 def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> FitResult:
