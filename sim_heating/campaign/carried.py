@@ -7,8 +7,6 @@ Where the records of a control point each cannot tell the same names apart, all 
 name that most records put first among those that every one of them allows.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -66,9 +64,8 @@ def read_carried(folder: Path) -> Carried:
     raises : InputError where its closure.json cannot be read
     """
     report = read_json(folder / NAME)
-    finding, sets = str(report["finding"]), tuple(tuple(names) for names in report["alternatives"])
-    named = " + ".join(" or ".join(names) for names in sets)
-    conclusion = f"{finding}: {named}" if named else finding
+    finding, sets = str(report["finding"]), tuple(map(tuple, report["alternatives"]))
+    conclusion = ": ".join(filter(None, (finding, " + ".join(map(" or ".join, sets)))))
     causes = "; ".join(f"{c['kind']}: {c['what']}" for c in report["not_effects"])
     if finding not in (FOUND, ONE_OF):
         doubt = "" if finding == NONE else f"closing the loop on the whole record ends with {conclusion}"
@@ -78,21 +75,23 @@ def read_carried(folder: Path) -> Carried:
             finding=conclusion, doubt=f"the record is in error ({causes}); correct it, and run the campaign again"
         )
     by_effect = {name: _of_effect(name, report["estimated"]) for names in sets for name in names[:1]}
-    unknown = [name for name, parameters in by_effect.items() if not parameters]
-    if unknown:
-        return Carried(finding=conclusion, doubt=f"`{unknown[0]}` has a form of its own, which fits of manoeuvres lack")
+    for name, parameters in by_effect.items():
+        if not parameters:
+            return Carried(finding=conclusion, doubt=f"`{name}` has a form of its own, which fits of manoeuvres lack")
     return Carried(sets, by_effect, conclusion)
 
 
 def _of_effect(name: str, estimated: Mapping[str, Any]) -> dict[str, Estimate]:
     """Estimates of a closure report that are of one effect, by dotted names; empty for an effect with another form."""
     if name == SKEW:
-        chosen = [n for n in estimated if n == CLOCK_SKEW.name]
+        begin = CLOCK_SKEW.name
     elif name in OF_SENSORS:
-        chosen = [n for n in estimated if n.startswith(SENSOR_PREFIX)]
+        begin = SENSOR_PREFIX
+    elif name in effects():
+        begin = f"{EFFECT_PREFIX}{name}."
     else:
-        chosen = [n for n in estimated if n.startswith(f"{EFFECT_PREFIX}{name}.")] if name in effects() else []
-    return {n: (float(estimated[n]["value"]), float(estimated[n]["sigma"] or 0.0)) for n in chosen}
+        return {}
+    return {n: (float(e["value"]), float(e["sigma"] or 0.0)) for n, e in estimated.items() if n.startswith(begin)}
 
 
 def agreed(records: Sequence[Carried]) -> list[Carried]:

@@ -1,10 +1,8 @@
 """What a campaign found."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +21,26 @@ IMPROBABLE = 1e-3
 """p-value of the agreement of flights below which they are said to disagree."""
 
 
-def _answer(rows: Sequence[object], failing: Sequence[object], text: str) -> Answer:
+Row = dict[str, Any]
+"""What is written of a fit, of a joint fit, or of the errors of a manoeuvre."""
+
+
+def _answer(rows: Sequence[Row], fails: Callable[[Row], bool], text: str) -> Answer:
     """Whether there are rows and none fails; text : of how many fail, after the number."""
+    failing = list(filter(fails, rows))
     return Answer(bool(rows) and not failing, f"{len(failing)} of {len(rows)} {text}")
+
+
+def _is_noisy(fit: Row) -> bool:
+    return not (fit["converged"] and fit["residual_over_noise"] <= MODEL_ERROR_RATIO)
+
+
+def _disagrees(joint: Row) -> bool:
+    return bool(joint["agreement"]["p_value"] < IMPROBABLE)
+
+
+def _is_beyond(error: Row) -> bool:
+    return bool(error["after_K"] > MODEL_ERROR_RATIO * error["noise_floor_K"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +84,16 @@ class CampaignResult:
     def credibility(self) -> Statement:
         """What supports the revised tables, factor by factor."""
         records = [f.records[p] for f in self.fitted_flights for p in self.points if p in f.records]
-        facts = of_several([facts_of_readings("campaign", r) for r in records])
+        facts = of_several(list(map(partial(facts_of_readings, "campaign"), records)))
         done = [r for r in (*self.fits, *self.joint) if "failed" not in r]
-        noisy = [r for r in done if not (r["converged"] and r["residual_over_noise"] <= MODEL_ERROR_RATIO)]
         compared = [r for r in self.joint if r.get("agreement")]
-        apart = [r for r in compared if r["agreement"]["p_value"] < IMPROBABLE]
         checked = [e for e in self.errors if e["check"]]
-        beyond = [e for e in checked if e["after_K"] > MODEL_ERROR_RATIO * e["noise_floor_K"]]
         facts_of_campaign = replace(
             facts,
             topics=facts.topics | {"estimates", "sensitivities"},
-            consistent=_answer(done, noisy, "fits are not within their noise"),
-            holds=_answer(compared, apart, "groups of flights do not agree"),
-            varied=_answer(checked, beyond, "manoeuvres that only check are not predicted within their noise"),
+            consistent=_answer(done, _is_noisy, "fits are not within their noise"),
+            holds=_answer(compared, _disagrees, "groups of flights do not agree"),
+            varied=_answer(checked, _is_beyond, "manoeuvres that only check are not predicted within their noise"),
             folder=self.campaign.vehicle.directory,
             reviewed=digest_of(self.campaign.vehicle),
         )

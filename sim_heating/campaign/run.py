@@ -13,12 +13,10 @@ Every finished part is kept in a ledger: a campaign that was interrupted goes on
 have changed repeats what depends on them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -175,32 +173,42 @@ def _flights(campaign: Campaign, engine: Engine, progress: Progress) -> tuple[li
     flights, checks = [], []
     for source in campaign.flights:
         directories = next(folders).task.folders if source.scenarios else (str(source.records),)
-        paths = [p for directory in directories for p in record_directories(Path(directory))]
-        read = flights_of_records(
-            [r for r in (load_record(p, root=campaign.root) for p in paths) if _is_selected(campaign, r)]
-        )
+        read = _read_flights(campaign, directories)
         flights += read
         checks += [f.name for f in read if source.check]
     return flights, checks
 
 
+def _read_flights(campaign: Campaign, directories: Iterable[str]) -> list[CampaignFlight]:
+    """Flights of the records in directories that a campaign selects."""
+    paths = [p for directory in directories for p in record_directories(Path(directory))]
+    records = [load_record(p, root=campaign.root) for p in paths]
+    return flights_of_records([r for r in records if _is_selected(campaign, r)])
+
+
 def _idle_settings(campaign: Campaign, flights: Sequence[CampaignFlight]) -> list[str]:
     """A line for each [[fit_of]] that means no fit."""
     fits = [(f.name, point, m.name) for f in flights for point in f.records for m in f.manoeuvres]
-    names = (sorted(set(column)) for column in zip(*fits, strict=True))
+    names = map(sorted, map(set, zip(*fits, strict=True)))
     known = dict(zip(("flight", "control_point", "manoeuvre"), names, strict=True))
     lines = []
     for i, settings in enumerate(campaign.declared.fit_of, start=1):
         if any(settings.selects(*fit) for fit in fits):
             continue
-        stated = {key: getattr(settings, key) for key in known}
-        reasons = [
-            f"`{key}`: there is no {name}{files.suggestion(name, known[key])}"
-            for key, name in stated.items()
-            if name is not None and name not in known[key]
-        ] or [f"{', '.join(f'`{key}`' for key, name in stated.items() if name is not None)}: no fit has them together"]
-        lines += [f"{files.display_path(campaign.path)}, [[fit_of]] {i}: {reason}" for reason in reasons]
+        stated = {key: name for key in known if (name := getattr(settings, key)) is not None}
+        where = f"{files.display_path(campaign.path)}, [[fit_of]] {i}"
+        lines += [f"{where}: {reason}" for reason in _reasons_of_no_fit(stated, known)]
     return lines
+
+
+def _reasons_of_no_fit(stated: Mapping[str, str], known: Mapping[str, Sequence[str]]) -> list[str]:
+    """Why no fit has what is stated; known : names that there are, by key."""
+    absent = [
+        f"`{key}`: there is no {name}{files.suggestion(name, known[key])}"
+        for key, name in stated.items()
+        if name not in known[key]
+    ]
+    return absent or [f"{', '.join(f'`{key}`' for key in stated)}: no fit has them together"]
 
 
 def _is_selected(campaign: Campaign, record: Record) -> bool:

@@ -29,25 +29,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sim_heating.base.files import (
-    Declared,
-    LocatedError,
-    Location,
-    Roots,
-    display_path,
-    raise_located,
-    raise_problems,
-    read_toml,
-    repeated_name,
-    roots_of,
-)
+from sim_heating.base import files
 from sim_heating.campaign.flights import Manoeuvre, with_seed
 from sim_heating.inputs.fit_settings import ParameterSettings, dotted
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
 
 
-class FlightSource(Declared):
+class FlightSource(files.Declared):
     """Where a flight comes from: a scenario, flown and measured, or records."""
 
     scenario: str | None = Field(default=None, description="a scenario file, relative to the campaign")
@@ -61,9 +50,9 @@ class FlightSource(Declared):
             raise ValueError("give either `scenario` or `records`, not both and not neither")
         if self.seeds is not None:
             if self.records is not None:
-                raise LocatedError((("seeds",), "are of a scenario; remove them"))
-            if repeated_name([str(s) for s in self.seeds]) is not None or min(self.seeds) < 0:
-                raise LocatedError((("seeds",), f"{self.seeds} must be different whole numbers, 0 or above"))
+                raise files.LocatedError((("seeds",), "are of a scenario; remove them"))
+            if files.repeated_name([str(s) for s in self.seeds]) is not None or min(self.seeds) < 0:
+                raise files.LocatedError((("seeds",), f"{self.seeds} must be different whole numbers, 0 or above"))
         return self
 
 
@@ -107,14 +96,14 @@ class SelectedFit(ManoeuvreSettings):
         return all(selected is None or selected == value for selected, value in pairs)
 
 
-class Joint(Declared):
+class Joint(files.Declared):
     """Joint fits of all flights that flew one kind of manoeuvre at nearly the same speed."""
 
     fitted: bool = Field(default=True, description="false: every flight by itself alone")
     speed_tolerance: float = Field(default=0.03, gt=0.0, lt=1.0, description="largest relative difference of speeds")
 
 
-class CampaignFile(Declared):
+class CampaignFile(files.Declared):
     """Contents of a campaign file.
 
     close_loop : false: no search for missing effects
@@ -138,7 +127,7 @@ class CampaignFile(Declared):
 
     @model_validator(mode="after")
     def _check_flights(self) -> CampaignFile:
-        problems: list[tuple[Location, str]] = []
+        problems: list[tuple[files.Location, str]] = []
         if all(f.check for f in self.flight):
             problems.append((("flight",), "all are `check`; one at least must be fitted and revise the tables"))
         for name, sigma in self.ageing.items():
@@ -148,7 +137,7 @@ class CampaignFile(Declared):
                 problems.append((("ageing", name), "no fit estimates it; add it to `parameters` of [fit]"))
             if name in self.fit.prior or name in self.fit.fix:
                 problems.append((("ageing", name), "has a value beforehand in [fit], which every flight would count"))
-        raise_located(problems)
+        files.raise_located(problems)
         return self
 
 
@@ -218,27 +207,27 @@ def load_campaign(path: str | os.PathLike[str] | Campaign, *, root: str | os.Pat
     if isinstance(path, Campaign):
         return path
     campaign_path = Path(path)
-    declared = read_toml(campaign_path, CampaignFile)
+    declared = files.read_toml(campaign_path, CampaignFile)
     vehicle = load_vehicle(vehicle_place(campaign_path, declared.vehicle, root=root), root=root)
-    roots = roots_of(campaign_path, root, vehicle.directory)
-    raise_problems(_repeated_flights(declared, display_path(campaign_path)))
+    roots = files.roots_of(campaign_path, root, vehicle.directory)
+    files.raise_problems(_repeated_flights(declared, files.display_path(campaign_path)))
     flights, problems = _flight_inputs(campaign_path, declared, vehicle.name, roots, root)
     problems += [
-        f"{display_path(campaign_path)}: `control_points`: {vehicle.name} has no {name}"
+        f"{files.display_path(campaign_path)}: `control_points`: {vehicle.name} has no {name}"
         for name in declared.control_points or ()
         if name not in vehicle.control_points
     ]
     names = [s.flight for f in flights for s in f.scenarios]
-    if (name := repeated_name(names)) is not None:
+    if (name := files.repeated_name(names)) is not None:
         problems.append(
-            f"{display_path(campaign_path)}: two flights are named {name}; give each scenario its own `flight`"
+            f"{files.display_path(campaign_path)}: two flights are named {name}; give each scenario its own `flight`"
         )
-    raise_problems(problems)
+    files.raise_problems(problems)
     return Campaign(campaign_path, declared, vehicle, tuple(flights), None if root is None else Path(root).absolute())
 
 
 def _flight_inputs(
-    path: Path, declared: CampaignFile, vehicle: str, roots: Roots, root: str | os.PathLike[str] | None
+    path: Path, declared: CampaignFile, vehicle: str, roots: files.Roots, root: str | os.PathLike[str] | None
 ) -> tuple[list[FlightInput], list[str]]:
     """Flights of a campaign whose files exist, and a line for each that has none or flies another vehicle."""
     read = cache(partial(load_scenario, root=root))
@@ -246,9 +235,9 @@ def _flight_inputs(
     for i, source in enumerate(declared.flight, start=1):
         key = "scenario" if source.scenario is not None else "records"
         source_path = roots.named(source.scenario or source.records or "", f"[[flight]] {i}: `{key}`")
-        where = f"{display_path(path)}, [[flight]] {i}: "
+        where = f"{files.display_path(path)}, [[flight]] {i}: "
         if not os.path.exists(source_path):  # false for a path that is too long as well
-            problems.append(f"{where}`{key}`: there is no {display_path(source_path)}")
+            problems.append(f"{where}`{key}`: there is no {files.display_path(source_path)}")
             continue
         if source.scenario is None:
             flights.append(FlightInput((), (), source_path, source.check))
@@ -257,8 +246,8 @@ def _flight_inputs(
         flights.append(_seeded(scenario, source))
         if scenario.vehicle.name != vehicle:
             problems.append(
-                f"{where}{display_path(source_path)} flies {scenario.vehicle.name}, the campaign revises the tables of "
-                f"{vehicle}; they must be one vehicle"
+                f"{where}{files.display_path(source_path)} flies {scenario.vehicle.name}, the campaign revises "
+                f"the tables of {vehicle}; they must be one vehicle"
             )
     return flights, problems
 

@@ -1,7 +1,5 @@
 """The tables of a vehicle revised by the fits of a campaign, and what they predict before and after."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -146,26 +144,32 @@ def _predict_all(result: CampaignResult, revised: Vehicle, progress: Progress) -
         progress(k / len(marched), f"{flight.name}, {point}")
         row = _row_of(result, flight.name, point, manoeuvre.name)
         segment = [manoeuvre.start_s, manoeuvre.end_s] if row is None else row["segments"][0]
-        if not record.read_mask[(record.time_s >= segment[0]) & (record.time_s <= segment[1])].any():
-            continue
-        chosen, fitted = record.with_fit([segment]), None if row is None or "failed" in row else row
-        start = None if fitted is None else _start(result, fitted)
-        errors: dict[str, float | None] = {}
-        for when, vehicle in {"before": result.campaign.vehicle, "after": revised}.items():
-            errors[f"{when}_K"] = rmse_with_tables_K(chosen, vehicle)
-            errors[f"{when}_from_start_K"] = None if start is None else rmse_with_tables_K(chosen, vehicle, start)
-        keys = ("before_K", "after_K", "before_from_start_K", "after_from_start_K")
-        result.errors.append(
-            {
-                "flight": flight.name,
-                "control_point": point,
-                "manoeuvre": manoeuvre.name,
-                "check": flight.name in result.checks,
-                **{key: errors[key] for key in keys},
-                "fit_K": None if fitted is None else fitted["rmse_K"],
-                "noise_floor_K": chosen.noise_floor_K(),
-            }
-        )
+        if record.read_mask[(record.time_s >= segment[0]) & (record.time_s <= segment[1])].any():
+            result.errors.append(
+                {
+                    "flight": flight.name,
+                    "control_point": point,
+                    "manoeuvre": manoeuvre.name,
+                    "check": flight.name in result.checks,
+                    **_errors_of(record.with_fit([segment]), row, result, revised),
+                }
+            )
+
+
+def _errors_of(
+    chosen: Record, row: Mapping[str, Any] | None, result: CampaignResult, revised: Vehicle
+) -> dict[str, float | None]:
+    """RMSE [K] of the readings of a manoeuvre before, after and by its fit, and the floor of their noise.
+
+    row : of the fit; None for a manoeuvre without one
+    """
+    tables = {"before": result.campaign.vehicle, "after": revised}
+    errors: dict[str, float | None] = {f"{when}_K": rmse_with_tables_K(chosen, v) for when, v in tables.items()}
+    fitted = None if row is None or "failed" in row else row
+    start = None if fitted is None else _start(result, fitted)
+    for when, vehicle in tables.items():
+        errors[f"{when}_from_start_K"] = None if start is None else rmse_with_tables_K(chosen, vehicle, start)
+    return errors | {"fit_K": None if fitted is None else fitted["rmse_K"], "noise_floor_K": chosen.noise_floor_K()}
 
 
 def _start(result: CampaignResult, row: Mapping[str, Any]) -> FittedStart | None:

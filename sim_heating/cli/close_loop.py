@@ -9,19 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.cli.console import (
-    CONSOLE,
-    ERRORS,
-    OUT,
-    PATH,
-    ROOT,
-    comma_list,
-    print_outputs,
-    print_table,
-    print_warning,
-    progress_line,
-)
+from sim_heating.cli import console
 from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
@@ -29,18 +19,18 @@ if TYPE_CHECKING:
 
 
 @click.command("close-loop")
-@click.argument("records", type=PATH, nargs=-1, required=True)
-@OUT
+@click.argument("records", type=console.PATH, nargs=-1, required=True)
+@console.OUT
 @click.option(
     "--parameters",
-    callback=comma_list,
+    callback=console.comma_list,
     help="dotted names that the declared model is fitted with, separated by commas; default: magnitude and "
     "derivatives, none where there is no reference heating",
 )
 @click.option("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786; default: local processes")
 @click.option("--workers", type=click.IntRange(1), help="number of local processes; default: one a core")
 @click.option("--joint", is_flag=True, help="also seek one cause in all records together, and what each adds to it")
-@ROOT
+@console.ROOT
 def close_loop(
     records: tuple[Path, ...],
     out: Path,
@@ -57,74 +47,77 @@ def close_loop(
     """
     from sim_heating.base.files import all_files_written, require_writable
     from sim_heating.closure.batch import close_all, find_records, summary_row
-    from sim_heating.closure.close import FILES, write_closed_loop
-    from sim_heating.closure.close import close_loop as close_one
-    from sim_heating.inputs.record import load_record
+    from sim_heating.closure.close import FILES
 
     directories = find_records(records, root)
     if joint:
-        if scheduler is not None or workers is not None:
-            raise InputError("--joint: the records are searched in one process; leave out --scheduler and --workers")
+        _require_one_process(scheduler, workers)
         _close_jointly(directories, out, parameters, root)
         return
     if len(directories) == 1:
-        record = load_record(directories[0], root=root)
+        record = sh.load_record(directories[0], root=root)
         require_writable(out, "close-loop", expected=FILES, inputs=[record.directory])
-        with progress_line(record.name) as progress:
-            closed = close_one(record, parameters, progress=progress)
-            names = write_closed_loop(closed, out)
+        with console.progress_line(record.name) as progress:
+            closed = sh.close_loop(record, parameters, progress=progress)
+            names = sh.write_closed_loop(closed, out)
         _print_rows([summary_row(closed.report)])
         _print_details(closed.report)
-        print_outputs(out, names, "closure.json")
+        console.print_outputs(out, names, "closure.json")
         return
-    with progress_line("close-loop") as progress:
+    with console.progress_line("close-loop") as progress:
         rows = close_all(
             directories, out, names=parameters, root=root, scheduler=scheduler, workers=workers, progress=progress
         )
     _print_rows(rows)
     for row in rows:
         for line in row.get("fault_messages", ()):
-            print_warning(line)
-    CONSOLE.print(f"Wrote {out}: summary.json, summary.csv, report.html, and a folder for each record")
+            console.print_warning(line)
+    console.CONSOLE.print(f"Wrote {out}: summary.json, summary.csv, report.html, and a folder for each record")
     report_files(out, all_files_written(out))
     report_results(out / "summary.json")
     failed = [row for row in rows if "failed" in row]
     for row in failed:
-        ERRORS.print(f"{row['record']}: {row['failed']}")
+        console.ERRORS.print(f"{row['record']}: {row['failed']}")
     if failed:
         raise RunError(f"{len(failed)} of {len(rows)} records failed; the others are done and kept")
+
+
+def _require_one_process(scheduler: str | None, workers: int | None) -> None:
+    if scheduler is not None or workers is not None:
+        raise InputError("--joint: the records are searched in one process; leave out --scheduler and --workers")
 
 
 def _close_jointly(directories: list[Path], out: Path, parameters: tuple[str, ...] | None, root: Path | None) -> None:
     """Close the loop on each record and on all together, write the files, and print what each adds."""
     from sim_heating.base.files import require_writable
     from sim_heating.closure.batch import summary_row
-    from sim_heating.closure.close import FILES, close_loops, write_joint_loop
+    from sim_heating.closure.close import FILES
     from sim_heating.closure.report.records import evidence_table
     from sim_heating.closure.result import JOINT_FILES
     from sim_heating.inputs.record import load_records
 
     loaded = load_records(directories, root=root)
     inputs = [record.directory for record in loaded]
-    for folder, expected in ((out, JOINT_FILES), *((out / record.name, FILES) for record in loaded)):
-        require_writable(folder, "close-loop", expected=expected, inputs=inputs)
-    with progress_line("close-loop") as progress:
-        closed = close_loops(loaded, parameters, progress=progress)
-        names = write_joint_loop(closed, out)
+    require_writable(out, "close-loop", expected=JOINT_FILES, inputs=inputs)
+    for record in loaded:
+        require_writable(out / record.name, "close-loop", expected=FILES, inputs=inputs)
+    with console.progress_line("close-loop") as progress:
+        closed = sh.close_loops(loaded, parameters, progress=progress)
+        names = sh.write_joint_loop(closed, out)
     _print_rows([summary_row(loop.report) for loop in closed.loops])
-    print_table(evidence_table(closed.report))
+    console.print_table(evidence_table(closed.report))
     report = closed.report
-    CONSOLE.print(f"{report.in_words()}. {report.certainty()}")
+    console.CONSOLE.print(f"{report.in_words()}. {report.certainty()}")
     lines = [f"Not an aerothermal effect ({cause.kind}): {cause.what}" for cause in report.statement.not_effects]
     for effect in report.effects:
         if effect.parameters:
             lines.append(f"{effect.name}: {', '.join(starmap(_bound, effect.parameters.items()))}")
     lines += [f"To tell them apart: {line}" for line in report.statement.would_tell()]
     for line in (*lines, *report.remarks()):
-        CONSOLE.print(line)
+        console.CONSOLE.print(line)
     for line in report.warnings:
-        print_warning(line)
-    print_outputs(out, names, "closure.json")
+        console.print_warning(line)
+    console.print_outputs(out, names, "closure.json")
 
 
 def _print_rows(rows: list[dict[str, Any]]) -> None:
@@ -133,7 +126,9 @@ def _print_rows(rows: list[dict[str, Any]]) -> None:
 
     table = closures_table(rows)
     finding = [column.head for column in table.layout].index("finding")
-    print_table(table, lambda i, k: "red" if k == finding and ("failed" in rows[i] or rows[i]["data_faults"]) else "")
+    console.print_table(
+        table, lambda i, k: "red" if k == finding and ("failed" in rows[i] or rows[i]["data_faults"]) else ""
+    )
 
 
 def _finding_lines(report: Closure) -> Iterator[str]:
@@ -155,15 +150,15 @@ def _print_details(report: Closure) -> None:
     from sim_heating.estimation.report.remarks import further_warnings
 
     for fault in report.faults:
-        print_warning(fault.message)
+        console.print_warning(fault.message)
     for line in _finding_lines(report):
-        CONSOLE.print(line)
+        console.CONSOLE.print(line)
     for remark in report.remarks:
-        print_warning(remark.in_words)
+        console.print_warning(remark.in_words)
     for line in further_warnings(report.warnings, report.remarks):
-        print_warning(line)
+        console.print_warning(line)
     if report.false_alarm:
-        CONSOLE.print(f"Calibration: {report.false_alarm}")
+        console.CONSOLE.print(f"Calibration: {report.false_alarm}")
 
 
 def _bound(name: str, parameter: ParameterEstimate) -> str:

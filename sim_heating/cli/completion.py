@@ -1,9 +1,8 @@
 """The command `sim-heating completion`, and the names that tab completion offers."""
 
-from __future__ import annotations
-
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from itertools import repeat
 from pathlib import Path
 
 import click
@@ -69,31 +68,37 @@ def _vehicles() -> Iterator[str]:
 def _below(start: Path, kinds: str) -> Iterator[str]:
     """Records, vehicles, and files that begin as the parameter takes them, below a folder."""
     begins = {"scenario": "scenario/", "study": "study/", "campaign_file": "campaign/"}.get(kinds)
-    of_files, waiting = kinds not in ("record", "vehicle"), [(start, 0)]
+    waiting = [(start, 0)]
     for _ in range(LARGEST):
         if not waiting:
             return
         folder, depth = waiting.pop(0)
-        entries = _entries(folder)
-        names = {entry.name for entry in entries}
-        if begins is None and not names.isdisjoint({"record.toml", "vehicle.toml"}):
-            if kinds == "path" or (kinds == "vehicle") is ("vehicle.toml" in names):
+        is_folder = _entries(folder)
+        declared = {folder / "record.toml", folder / "vehicle.toml"} & is_folder.keys()
+        if begins is None and declared:
+            if kinds == "path" or (kinds == "vehicle") is (folder / "vehicle.toml" in declared):
                 yield folder.as_posix()
             continue
-        visible = [entry for entry in entries if not entry.name.startswith(".")]
-        is_folder = {folder / entry.name: entry.is_dir(follow_symlinks=False) for entry in visible}
-        waiting += [(path, depth + 1) for path, inner in is_folder.items() if inner and depth < DEPTH]
-        if of_files:
-            files = [path for path, inner in is_folder.items() if path.suffix == ".toml" and not inner]
-            yield from (path.as_posix() for path in files if _is_of_format(path, begins))
+        if depth < DEPTH:
+            waiting += zip(filter(is_folder.get, is_folder), repeat(depth + 1))
+        if kinds not in ("record", "vehicle"):
+            yield from _files_of_format(is_folder, begins)
 
 
-def _entries(folder: Path) -> list[os.DirEntry[str]]:
-    """Entries of a folder in the order of their names; none where it cannot be read."""
+def _entries(folder: Path) -> dict[Path, bool]:
+    """Entries of a folder but hidden ones, in the order of their names, and which are folders; none where it cannot be
+    read."""
     try:
-        return sorted(os.scandir(folder), key=lambda entry: entry.name)
+        entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
     except OSError:
-        return []
+        return {}
+    return {folder / e.name: e.is_dir(follow_symlinks=False) for e in entries if not e.name.startswith(".")}
+
+
+def _files_of_format(is_folder: Mapping[Path, bool], begins: str | None) -> Iterator[str]:
+    for path, inner in is_folder.items():
+        if path.suffix == ".toml" and not inner and _is_of_format(path, begins):
+            yield path.as_posix()
 
 
 def _is_of_format(path: Path, begins: str | None) -> bool:

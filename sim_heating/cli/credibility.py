@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import CONSOLE, PATH, ROOT, HelpfulGroup, print_table, progress_line
 from sim_heating.cli.output import report_files, report_results
@@ -123,12 +124,10 @@ def add(record: Path, force: bool, root: Path | None) -> None:
 
     from sim_heating.base.files.package import package_version
     from sim_heating.credibility.validation.own_cases import case_of_record, write_case
-    from sim_heating.inputs.record import load_record
-    from sim_heating.simulation.predict import predict
 
-    loaded = load_record(record, root=root)
+    loaded = sh.load_record(record, root=root)
     with progress_line(f"predicting {loaded.name}"):
-        case = replace(case_of_record(loaded, predict(loaded).residual_K), of_user=True)
+        case = replace(case_of_record(loaded, sh.predict(loaded).residual_K), of_user=True)
     path = write_case(case, f"sim-heating {package_version()}", replace=force)
     _print_cases([case])
     CONSOLE.print(f"Wrote {path}", soft_wrap=True)
@@ -175,11 +174,9 @@ def review(path: Path, factor: str, level: int, person: str, statement: str, dat
     from pydantic import ValidationError
 
     from sim_heating.credibility.reviews import Review, add_review, digest_of
-    from sim_heating.inputs.record import load_record
-    from sim_heating.inputs.vehicle import load_vehicle
 
     is_vehicle = (path / "vehicle.toml").is_file()
-    subject = load_vehicle(path, root=root) if is_vehicle else load_record(path, root=root)
+    subject = sh.load_vehicle(path, root=root) if is_vehicle else sh.load_record(path, root=root)
     day = datetime.date.today() if date is None else date.date()
     try:
         signed = Review(

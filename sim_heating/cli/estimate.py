@@ -10,18 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError, RunError, error_context
-from sim_heating.cli.console import (
-    CONSOLE,
-    OUT,
-    PATH,
-    ROOT,
-    comma_list,
-    print_outputs,
-    print_table,
-    print_warning,
-    progress_line,
-)
+from sim_heating.cli import console
 from sim_heating.cli.parameter_options import merged_settings, parameter_options
 
 if TYPE_CHECKING:
@@ -189,10 +180,12 @@ def _level(text: str, hint: str) -> float:
 
 
 @click.command()
-@click.argument("records", type=PATH, nargs=-1, required=True)
-@OUT
+@click.argument("records", type=console.PATH, nargs=-1, required=True)
+@console.OUT
 @click.option(
-    "--parameters", callback=comma_list, help="dotted names, separated by commas; default: magnitude and derivatives"
+    "--parameters",
+    callback=console.comma_list,
+    help="dotted names, separated by commas; default: magnitude and derivatives",
 )
 @click.option(
     "--reference", callback=_reference_condition, help="condition alpha_deg=40,... that derivatives are about"
@@ -240,7 +233,7 @@ def _level(text: str, hint: str) -> float:
     help="errors of heating and flight, as the records state them, are part of the fit: for what is to predict others",
 )
 @parameter_options
-@ROOT
+@console.ROOT
 def estimate(
     records: tuple[Path, ...],
     out: Path,
@@ -287,9 +280,7 @@ def estimate(
     if segments is not None:
         _estimate_trend(records, out, stated, segments, root, settings_file)
         return
-    from sim_heating.closure.prior.model_error import stated_error
-    from sim_heating.estimation.fit import estimate as fit_records
-    from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
+    from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files
     from sim_heating.inputs.record import load_records
 
     loaded = load_records(records, root=root)
@@ -297,8 +288,8 @@ def estimate(
         loaded, starts = _with_segments(loaded, stated)
     files = output_files(loaded, filtered=noise is not None, profiles=bool(profiles))
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
-    with progress_line("estimate") as progress, _in_settings(settings_file):
-        fitted = fit_records(
+    with console.progress_line("estimate") as progress, _in_settings(settings_file):
+        fitted = sh.estimate(
             loaded,
             stated.parameters,
             reference=stated.reference_condition,
@@ -308,17 +299,17 @@ def estimate(
             ties=stated.tie,
             starts=starts,
             process_noise=noise,
-            error_of=stated_error if model_error else None,
+            error_of=sh.stated_error if model_error else None,
             profiles=profiles,
             progress=progress,
         )
         progress(0.95, "writing")
-        names = write_fit(fitted, out)
+        names = sh.write_fit(fitted, out)
     contents = estimate_contents(fitted)
-    print_table(estimate_table(f"{', '.join(r.name for r in loaded)}: estimate", contents))
+    console.print_table(estimate_table(f"{', '.join(r.name for r in loaded)}: estimate", contents))
     _print_fit(fitted, contents)
     _print_errors(contents)
-    print_outputs(out, names, "estimate.json")
+    console.print_outputs(out, names, "estimate.json")
     if not contents.converged:
         raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds the last iteration, which is not an estimate")
 
@@ -353,17 +344,16 @@ def _estimate_trend(
     from sim_heating.base.files import require_writable
     from sim_heating.estimation.report.report import TREND, write_trend
     from sim_heating.estimation.trend import trend
-    from sim_heating.inputs.record import load_record
 
     if len(records) > 1:
         raise InputError(f"--segments: {len(records)} records are given; segments are fitted to one record at a time")
     if stated.tie:
         raise InputError("--segments: each segment has its own parameters; leave out --tie")
-    loaded = load_record(records[0], root=root)
+    loaded = sh.load_record(records[0], root=root)
     with _in_settings(settings_file):
         (record,), (start,) = _with_segments([loaded], stated)
     require_writable(out, "estimate", expected=TREND, inputs=[record.directory])
-    with progress_line("estimate") as progress, _in_settings(settings_file):
+    with console.progress_line("estimate") as progress, _in_settings(settings_file):
         fitted = trend(
             record,
             length_s,
@@ -377,12 +367,14 @@ def _estimate_trend(
         )
         names = write_trend(fitted, out)
     many = "s" if len(fitted.segments) != 1 else ""
-    CONSOLE.print(f"{len(fitted.segments)} segment{many} of {length_s:g} s fitted, {len(fitted.left_out)} left out")
+    console.CONSOLE.print(
+        f"{len(fitted.segments)} segment{many} of {length_s:g} s fitted, {len(fitted.left_out)} left out"
+    )
     for line in fitted.left_out[:3]:
-        CONSOLE.print(f"left out: {line}")
+        console.CONSOLE.print(f"left out: {line}")
     for line in fitted.warnings:
-        print_warning(line)
-    print_outputs(out, names, {"segments": len(fitted.segments), "left_out": fitted.left_out})
+        console.print_warning(line)
+    console.print_outputs(out, names, {"segments": len(fitted.segments), "left_out": fitted.left_out})
 
 
 def _parameter_lines(contents: Any, profiles: Sequence[str]) -> Iterator[str]:
@@ -403,11 +395,11 @@ def _print_fit(fitted: FitResult, contents: Any) -> None:
     from sim_heating.estimation.report.remarks import further_warnings
 
     for line in _parameter_lines(contents, [profile.in_words() for profile in fitted.profiles.values()]):
-        CONSOLE.print(line)
+        console.CONSOLE.print(line)
     for line in (*(r.in_words for r in contents.remarks), *further_warnings(fitted.warnings, contents.remarks)):
-        print_warning(line)
+        console.print_warning(line)
     if fitted.innovations is not None:
-        CONSOLE.print(fitted.innovations.levels.noise.summary())
+        console.CONSOLE.print(fitted.innovations.levels.noise.summary())
 
 
 def _print_errors(contents: Any) -> None:
@@ -420,27 +412,27 @@ def _print_errors(contents: Any) -> None:
     for segments in ("fit", "holdout"):
         before, after = declared.get(segments), getattr(contents, segments)
         if after is not None and before is not None:
-            CONSOLE.print(
+            console.CONSOLE.print(
                 f"RMSE, {segments}{march}: {before.rmse_K:.2f} K declared, {after.rmse_K:.2f} K fitted "
                 f"({after.n} samples)"
             )
     if innovations is not None:
-        CONSOLE.print(
+        console.CONSOLE.print(
             f"RMSE, innovations, which the fit minimised: {innovations.rmse_K:.2f} K, "
             f"{innovations.normalised_rms:.2f} of what the filter expects ({innovations.n} samples)"
         )
     if floor := floor_in_words(contents):
-        CONSOLE.print(f"Noise floor: {floor}")
+        console.CONSOLE.print(f"Noise floor: {floor}")
     if samples := samples_in_words(extra.get("samples", {})):
-        CONSOLE.print(f"Samples: {samples}")
+        console.CONSOLE.print(f"Samples: {samples}")
 
 
 @click.command()
-@click.argument("scenario", type=PATH)
-@OUT
+@click.argument("scenario", type=console.PATH)
+@console.OUT
 @click.option(
     "--parameters",
-    callback=comma_list,
+    callback=console.comma_list,
     help="dotted names of the parameters whose bounds are minimised, separated by commas",
 )
 @click.option("--criterion", type=click.Choice(["D", "A"]), help="D: volume of the bounds; A: their mean square")
@@ -448,7 +440,7 @@ def _print_errors(contents: Any) -> None:
 @click.option(
     "--repetitions", type=click.IntRange(0), default=0, help="check the bounds against this many simulated fits"
 )
-@ROOT
+@console.ROOT
 def design(
     scenario: Path,
     out: Path,
@@ -461,33 +453,35 @@ def design(
     """Design a scenario's manoeuvres: the bounds they would give, the most informative ones, other instruments."""
     from sim_heating.base.files import require_writable
     from sim_heating.estimation.design import report
-    from sim_heating.inputs.scenario import load_scenario, with_design
+    from sim_heating.inputs.scenario import with_design
 
     stated = {"parameters": parameters and list(parameters), "criterion": criterion, "evaluations": evaluations}
-    loaded = with_design(load_scenario(scenario, root=root), {k: v for k, v in stated.items() if v is not None})
+    loaded = with_design(sh.load_scenario(scenario, root=root), {k: v for k, v in stated.items() if v is not None})
     require_writable(out, "design", expected=report.FILES, inputs=loaded.files)
-    with progress_line("design") as progress:
+    with console.progress_line("design") as progress:
         designed = report.design(loaded, repetitions=repetitions, progress=progress)
         progress(0.99, "writing")
         names = report.write_design(designed, out)
     contents = report.summary(designed)
-    print_table(report.bounds_table(designed, [n for n in designed.planner.design.flights if n > 1]))
-    CONSOLE.print(f"{contents['tried']} designs tried, {contents['kept_limits']} keep the limits")
+    console.print_table(report.bounds_table(designed, [n for n in designed.planner.design.flights if n > 1]))
+    console.CONSOLE.print(f"{contents['tried']} designs tried, {contents['kept_limits']} keep the limits")
     for line in report.changes(contents):
-        CONSOLE.print(line)
+        console.CONSOLE.print(line)
     _print_checks(contents)
     if designed.planner.compared:
-        print_table(report.instruments_table(designed))
+        console.print_table(report.instruments_table(designed))
     if contents["locations"]:
-        CONSOLE.print(f"locations, bounds over the ratio: {_ranking(contents)}")
-    for face in contents["interfaces"]:
-        CONSOLE.print(
-            f"interface of {face['control_point']} behind {face['upstream']}: heating {face['largest_excess']:+.1%} at "
-            f"most, at {face['largest_at_s']:.0f} s; in the manoeuvres up to {face['largest_in_manoeuvres']:.1%}"
-        )
-    for line in report.notes(designed):
-        CONSOLE.print(line)
-    print_outputs(out, names, "design.json")
+        console.CONSOLE.print(f"locations, bounds over the ratio: {_ranking(contents)}")
+    for line in (*map(_interface_in_words, contents["interfaces"]), *report.notes(designed)):
+        console.CONSOLE.print(line)
+    console.print_outputs(out, names, "design.json")
+
+
+def _interface_in_words(face: dict[str, Any]) -> str:
+    return (
+        f"interface of {face['control_point']} behind {face['upstream']}: heating {face['largest_excess']:+.1%} at "
+        f"most, at {face['largest_at_s']:.0f} s; in the manoeuvres up to {face['largest_in_manoeuvres']:.1%}"
+    )
 
 
 def _ranking(contents: dict[str, Any]) -> str:
@@ -501,10 +495,10 @@ def _print_checks(contents: dict[str, Any]) -> None:
     for name in contents["parameters"]:
         if contents["checked"] is not None:
             planned, best = (contents["checked"][k]["sigma"][name] for k in ("planned", "optimal"))
-            CONSOLE.print(f"{name}: {planned:.3g} and {best:.3g} flown in {contents['checked']['source']}")
+            console.CONSOLE.print(f"{name}: {planned:.3g} and {best:.3g} flown in {contents['checked']['source']}")
         if contents["fitted"] is not None:
             fitted = contents["fitted"]
-            CONSOLE.print(
+            console.CONSOLE.print(
                 f"{name}: {fitted['fits']} fits err by {fitted['rms_error'][name]:.3g}, "
                 f"{fitted['predicted'][name]:.3g} predicted for them (surface pressure known)",
                 highlight=False,

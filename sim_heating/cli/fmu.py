@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.cli.console import COMPILING, CONSOLE, FORCE, PATH, ROOT, HelpfulGroup, comma_list, progress_line
 from sim_heating.cli.output import report_files, report_results
@@ -107,21 +108,20 @@ def export(
     root: Path | None,
 ) -> None:
     """The heating plug-in of a vehicle as a co-simulation FMU, or with a trajectory as a system of two FMUs."""
-    from sim_heating.inputs.vehicle import load_vehicle
-    from sim_heating.simulation.fmu_export.export import export_fmu, targets_of
+    from sim_heating.simulation.fmu_export.export import targets_of
 
     _require_what_to_write(out, ssp, trajectory, reference)
     if out is None and _is_given("fmi") and fmi != "2":
         raise InputError("--fmi 3: the FMUs of a system are FMI 2.0; leave it out, or also give --out FILE.fmu")
     if out is not None:
         targets_of(platforms, int(fmi))
-    loaded, results = load_vehicle(vehicle, root=root), {}
+    loaded, results = sh.load_vehicle(vehicle, root=root), {}
     if ssp is not None and trajectory is not None:
         results["system"] = _export_system(loaded, ssp, trajectory, points, platforms, input_timing, root)
     if out is not None:
         with progress_line("fmu export") as progress:
             progress(0.1, COMPILING)
-            image = export_fmu(
+            image = sh.export_fmu(
                 loaded,
                 out,
                 points,
@@ -168,7 +168,7 @@ def _export_system(
     from sim_heating.base.files import display_path
     from sim_heating.simulation.fmu_export.entry import require_entry_source
     from sim_heating.simulation.fmu_export.export import targets_of
-    from sim_heating.simulation.fmu_export.ssp import FMI, export_ssp
+    from sim_heating.simulation.fmu_export.ssp import FMI
 
     flown = _scenario_of(scenario, vehicle, root)
     with error_context(f"{display_path(scenario)}, [trajectory]"):
@@ -181,7 +181,7 @@ def _export_system(
     targets_of(platforms, FMI)
     with progress_line("fmu export") as progress:
         progress(0.1, COMPILING)
-        system = export_ssp(
+        system = sh.export_ssp(
             vehicle,
             flown.declared.trajectory,
             out,
@@ -209,12 +209,12 @@ def _export_system(
 def _scenario_of(path: Path, vehicle: Vehicle, root: Path | None) -> Scenario:
     """A scenario; its vehicle may lie anywhere where it is the one that the command names."""
     from sim_heating.base.files import read_toml
-    from sim_heating.inputs.scenario import ScenarioFile, load_scenario, make_scenario
+    from sim_heating.inputs.scenario import ScenarioFile, make_scenario
 
     declared = read_toml(path, ScenarioFile)
     if (path.parent / declared.vehicle).resolve() == vehicle.directory.resolve():
         return make_scenario(path, declared, vehicle, root=root)
-    return load_scenario(path, root=root)
+    return sh.load_scenario(path, root=root)
 
 
 def _names(vehicle: Vehicle, points: tuple[str, ...] | None) -> list[str]:
@@ -231,11 +231,10 @@ def _names(vehicle: Vehicle, points: tuple[str, ...] | None) -> list[str]:
 def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...], root: Path | None) -> None:
     """The built-in 3-DOF entry of a scenario as a co-simulation FMU."""
     from sim_heating.base.files import display_path
-    from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.fmu_export.entry import export_entry, require_entry_source
     from sim_heating.simulation.fmu_export.export import targets_of
 
-    loaded = load_scenario(scenario, root=root)
+    loaded = sh.load_scenario(scenario, root=root)
     spec, vehicle = loaded.declared.trajectory, loaded.vehicle.directory
     with error_context(f"{display_path(scenario)}, [trajectory]"):
         require_entry_source(spec)

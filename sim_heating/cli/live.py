@@ -8,19 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.cli.console import (
-    CONSOLE,
-    ERRORS,
-    FORCE,
-    PATH,
-    ROOT,
-    NumberRange,
-    optional_directory,
-    print_outputs,
-    print_table,
-    print_warning,
-    progress_line,
-)
+from sim_heating.cli import console
 
 if TYPE_CHECKING:
     from sim_heating.live.engine import LinkEngine
@@ -35,23 +23,27 @@ MOST_REMARKS = 20
 
 
 @click.command()
-@click.argument("link", type=PATH, required=False)
+@click.argument("link", type=console.PATH, required=False)
 @click.option(
     "--out",
-    callback=optional_directory,
+    callback=console.optional_directory,
     help="directory of journal and results; default: out/NAME, of a replay out/NAME-replay",
 )
-@FORCE
-@click.option("--replay", type=PATH, metavar="RECORD", help="send this record again in place of the link's sources")
-@click.option("--speed", type=NumberRange(0.0), help="flight seconds a second of --replay and --demo; 0: no limit")
+@console.FORCE
+@click.option(
+    "--replay", type=console.PATH, metavar="RECORD", help="send this record again in place of the link's sources"
+)
+@click.option(
+    "--speed", type=console.NumberRange(0.0), help="flight seconds a second of --replay and --demo; 0: no limit"
+)
 @click.option("--demo", is_flag=True, help="fly the Mach-20 POPU in JSBSim at 10x, stream it and open the page")
 @click.option("--headless", is_flag=True, help="serve no page")
 @click.option("--metrics", is_flag=True, help="serve Prometheus metrics and the latest state without a page, too")
 @click.option("--host", metavar="ADDRESS", help="address of the page; other machines than this one need its token")
 @click.option("--port", type=click.IntRange(0, 65535), help="port of the page; 0 for any that is free")
 @click.option("--token", help="what readers of the page have to give; with --host one is made where none is given")
-@click.option("--to-record", type=PATH, metavar="JOURNAL", help="make records of a journal, and end")
-@ROOT
+@click.option("--to-record", type=console.PATH, metavar="JOURNAL", help="make records of a journal, and end")
+@console.ROOT
 def live(
     link: Path | None,
     out: Path | None,
@@ -112,9 +104,9 @@ def _make_records(journal: Path, link: Path | None, out: Path | None, root: Path
     declared = None if link is None else load_link(link, root=root)
     records, notes = to_record(journal, out, declared, root=root)
     for line in notes:
-        print_warning(line)
+        console.print_warning(line)
     names = sorted(p.name for p in out.iterdir() if not p.name.startswith("."))
-    print_outputs(out, names, {"control_points": list(records), "notes": notes})
+    console.print_outputs(out, names, {"control_points": list(records), "notes": notes})
 
 
 def _link_of(
@@ -172,24 +164,24 @@ def _follow(
             outputs,
             resume=journal.is_resumed,
             open_sources=open_sources,
-            waiting=lambda: progress_line(link.title),
+            waiting=lambda: console.progress_line(link.title),
         )
         ended = True
     except KeyboardInterrupt:
         journal.close(is_end=False)  # which removes that of a link that was not begun
-        print_warning(_kept_line(directory / NAME))
+        console.print_warning(_kept_line(directory / NAME))
         raise
     finally:
         journal.close(is_end=ended)
     if journal.problem:
-        print_warning(journal.problem)
+        console.print_warning(journal.problem)
     _print_summary(engine, state)  # first: it is reported though the disk is full
     names, notes = _written(engine, state, directory)
     for line in notes:
-        print_warning(line)
-    print_outputs(directory, [NAME, *names], RESULT)
+        console.print_warning(line)
+    console.print_outputs(directory, [NAME, *names], RESULT)
     if RECORDS in names:
-        CONSOLE.print(f"Records for `sim-heating estimate`: {directory / RECORDS}, one of each control point")
+        console.CONSOLE.print(f"Records for `sim-heating estimate`: {directory / RECORDS}, one of each control point")
 
 
 def _kept_line(journal: Path) -> str:
@@ -208,7 +200,7 @@ def _written(engine: LinkEngine, state: State, directory: Path) -> tuple[list[st
         return write_results(engine, state, directory)
     except (InputError, RunError, OSError):
         open_again(directory / NAME)
-        print_warning(
+        console.print_warning(
             f"{directory / NAME} holds the flight and is not closed: the same command, once what follows is mended, "
             "goes on from it and writes the results"
         )
@@ -219,7 +211,7 @@ def _print_summary(engine: LinkEngine, state: State) -> None:
     """Print the estimates at the end of a link, what came, what was taken out, and whether an effect is missing."""
     _print_estimates(engine, state)
     counts, health = engine.counts, state.link
-    CONSOLE.print(
+    console.CONSOLE.print(
         f"Came: {counts['messages']} messages, {counts['frames']} frames and {counts['readings']} readings, of which "
         f"{health.lost} lost, {health.late} late, {health.too_late} too late, {health.doubled} doubled; "
         f"{health.damaged} damaged, {health.jumps} clock jumps"
@@ -227,10 +219,10 @@ def _print_summary(engine: LinkEngine, state: State) -> None:
     removed = [removal.text for removal in state.removed]
     remarks = [line for line in engine.remarks.lines() if line not in removed]
     for line in (*removed, *remarks[:MOST_REMARKS]):
-        print_warning(line)
+        console.print_warning(line)
     if len(remarks) > MOST_REMARKS:
-        print_warning(f"{len(remarks) - MOST_REMARKS} more remarks are in live.json")
-    CONSOLE.print(f"Missing effect: {state.missing.text}", style="red" if state.missing.alarm else None)
+        console.print_warning(f"{len(remarks) - MOST_REMARKS} more remarks are in live.json")
+    console.CONSOLE.print(f"Missing effect: {state.missing.text}", style="red" if state.missing.alarm else None)
 
 
 def _print_estimates(engine: LinkEngine, state: State) -> None:
@@ -250,7 +242,7 @@ def _print_estimates(engine: LinkEngine, state: State) -> None:
     if rows:
         when = "" if state.time_s is None else f" at {state.time_s:.1f} s of flight"
         columns = [Column("control point"), *(Column(h, format=".0f") for h in heads)]
-        print_table(Table(f"{engine.link.title}{when}, estimates +- sigma", columns, rows))
+        console.print_table(Table(f"{engine.link.title}{when}, estimates +- sigma", columns, rows))
         # a row each: side by side six of them are wider than a terminal
         fitted = [
             (point, name, _bound(parameter.value, parameter.sigma), parameter.unit)
@@ -258,7 +250,7 @@ def _print_estimates(engine: LinkEngine, state: State) -> None:
             for name, parameter in point_state.parameters.items()
         ]
         heads = ["control point", "parameter", "estimate +- sigma", "unit"]
-        print_table(Table("Parameters", [Column(h) for h in heads], fitted))
+        console.print_table(Table("Parameters", [Column(h) for h in heads], fitted))
 
 
 def _bound(value: float, sigma: float, spec: str = ".4g", sigma_spec: str = ".2g") -> str:
@@ -310,8 +302,8 @@ class _Announced:
 
     async def start(self) -> None:
         await self._server.start()
-        ERRORS.print(f"{'page' if self._server.has_page else 'metrics'}: {self._server.url}")
-        if self._opens_browser and self._server.has_page and CONSOLE.is_terminal:
+        console.ERRORS.print(f"{'page' if self._server.has_page else 'metrics'}: {self._server.url}")
+        if self._opens_browser and self._server.has_page and console.CONSOLE.is_terminal:
             click.launch(self._server.url)
 
     def publish(self, published: Any) -> None:

@@ -1,7 +1,5 @@
 """Values of repeatable options of the form NAME=VALUE."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import click

@@ -7,18 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import (
-    CONSOLE,
-    FORCE,
-    PATH,
-    ROOT,
-    comma_list,
-    optional_directory,
-    print_outputs,
-    print_table,
-    progress_line,
-)
+from sim_heating.cli import console
 from sim_heating.cli.output import report_results
 
 if TYPE_CHECKING:
@@ -33,20 +24,24 @@ LEGEND = (
 
 
 @click.command(epilog="Example: sim-heating parameters scenarios/records/practice/p06")
-@click.argument("path", metavar="RECORD|SCENARIO", type=PATH)
-@click.option("--out", callback=optional_directory, help="directory for parameters.json and parameters.csv")
-@FORCE
+@click.argument("path", metavar="RECORD|SCENARIO", type=console.PATH)
+@click.option("--out", callback=console.optional_directory, help="directory for parameters.json and parameters.csv")
+@console.FORCE
 @click.option(
     "--point",
     "points",
-    callback=comma_list,
+    callback=console.comma_list,
     metavar="POINT,...",
     help="of a scenario: fly it, and state what the readings of these control points identify",
 )
 @click.option(
-    "--effect", "effects", callback=comma_list, metavar="NAME,...", help="also list effects that are not declared"
+    "--effect",
+    "effects",
+    callback=console.comma_list,
+    metavar="NAME,...",
+    help="also list effects that are not declared",
 )
-@ROOT
+@console.ROOT
 def parameters(
     path: Path,
     out: Path | None,
@@ -63,14 +58,14 @@ def parameters(
 
     lists, inputs = _lists(path, points, effects or (), root)
     for table in parameter_tables(lists):
-        print_table(table)
+        console.print_table(table)
     if lists[0].record is not None:
         for line in LEGEND:
-            CONSOLE.print(line)
+            console.CONSOLE.print(line)
     if out is None:
         report_results(contents(lists))
     else:
-        print_outputs(out, write_parameters(lists, out, inputs), "parameters.json")
+        console.print_outputs(out, write_parameters(lists, out, inputs), "parameters.json")
 
 
 def _lists(
@@ -78,21 +73,20 @@ def _lists(
 ) -> tuple[list[ParameterList], list[Path]]:
     """The parameters of a record or of the control points of a scenario, and the files that they are read from."""
     from sim_heating.base.files import display_path
-    from sim_heating.estimation.parameter_list import parameter_list, scenario_parameters
-    from sim_heating.inputs.record import DECLARATION, load_record
-    from sim_heating.inputs.scenario import load_scenario
+    from sim_heating.estimation.parameter_list import scenario_parameters
+    from sim_heating.inputs.record import DECLARATION
 
     if path.is_dir() or path.name == DECLARATION:
         if points is not None:
             raise InputError("--point: is for scenarios; a record has one control point")
-        record = load_record(path.parent if path.name == DECLARATION else path, root=root)
-        with progress_line("parameters") as progress:
-            return [parameter_list(record, effects=effects, progress=progress)], [record.directory]
+        record = sh.load_record(path.parent if path.name == DECLARATION else path, root=root)
+        with console.progress_line("parameters") as progress:
+            return [sh.parameter_list(record, effects=effects, progress=progress)], [record.directory]
     if path.is_file() and path.suffix != ".toml":
         raise InputError(
             f"{display_path(path)}: give a flight record (a directory with {DECLARATION}) or a scenario.toml"
         )
-    scenario = load_scenario(path, root=root)
+    scenario = sh.load_scenario(path, root=root)
     if points is None:
         return scenario_parameters(scenario, effects=effects), list(scenario.files)
     return _of_points(scenario, points, effects), list(scenario.files)
@@ -100,14 +94,12 @@ def _lists(
 
 def _of_points(scenario: Scenario, points: tuple[str, ...], effects: tuple[str, ...]) -> list[ParameterList]:
     """The parameters of control points, by what each does to its synthetic readings."""
-    from sim_heating.estimation.parameter_list import parameter_list
     from sim_heating.simulation.run import require_points
-    from sim_heating.simulation.synthesize import synthesize
 
     require_points(points, scenario.names, "--point")
-    with progress_line("parameters") as progress:
-        records = synthesize(scenario, progress=lambda f, text: progress(0.8 * f, text))
+    with console.progress_line("parameters") as progress:
+        records = sh.synthesize(scenario, progress=lambda f, text: progress(0.8 * f, text))
         without = [name for name in points if name not in records]
         if without:
             raise InputError(f"--point: {', '.join(without)} has no thermocouple; choose a point that has")
-        return [parameter_list(records[name], effects=effects) for name in points]
+        return [sh.parameter_list(records[name], effects=effects) for name in points]

@@ -1,7 +1,5 @@
 """Recognise a path as a record, vehicle, scenario, study, estimate or another file that people write, and check it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -69,16 +67,15 @@ def descriptions(path: str | os.PathLike[str]) -> dict[str, dict[str, str]]:
     target = Path(path)
     if target.name == str(path) and not os.path.lexists(target) and target.name in vehicle_names():
         target = vehicle_directory(target)
-    if target.suffix == ".toml":
-        target = target.parent if target.name in (DECLARATION, VEHICLE) else target
+    if target.name in (DECLARATION, VEHICLE):
+        target = target.parent
     files = sorted((*target.glob("*.toml"), *target.glob("*/*.toml"))) if target.is_dir() else [target]
     folder = target if target.is_dir() else target.parent
-    texts = {
-        file.relative_to(folder).as_posix(): dict(_described(read_toml_dict(file), ""))
+    return {
+        file.relative_to(folder).as_posix(): texts
         for file in files
-        if file.suffix == ".toml"
+        if file.suffix == ".toml" and (texts := dict(_described(read_toml_dict(file), "")))
     }
-    return {file: texts_of_file for file, texts_of_file in texts.items() if texts_of_file}
 
 
 def _described(value: Any, key_path: str) -> Iterator[tuple[str, str]]:

@@ -9,19 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError, RunError, error_context
-from sim_heating.cli.console import (
-    CONSOLE,
-    OUT,
-    PATH,
-    ROOT,
-    NumberRange,
-    comma_list,
-    print_outputs,
-    print_table,
-    print_warning,
-    progress_line,
-)
+from sim_heating.cli import console
 
 if TYPE_CHECKING:
     from sim_heating.base.progress import Progress
@@ -42,7 +32,7 @@ BANDS = click.option("--bands", is_flag=True, help="95 % bands of the temperatur
 MEMBERS = click.option(
     "--member",
     "members",
-    type=(PATH, NumberRange(min=0.0, max=1e6, min_open=True)),
+    type=(console.PATH, console.NumberRange(min=0.0, max=1e6, min_open=True)),
     multiple=True,
     metavar="ESTIMATE WEIGHT",
     help="an estimate.json that the bands take values and covariance from, or next_flight.toml of a campaign, with its "
@@ -73,17 +63,17 @@ def _models(loaded: Sequence[Record], revised: Vehicle | None) -> list[tuple[Poi
 
 
 @click.command()
-@click.argument("scenario", type=PATH)
-@OUT
+@click.argument("scenario", type=console.PATH)
+@console.OUT
 @BANDS
 @MEMBERS
 @click.option(
     "--plot-points",
-    callback=comma_list,
+    callback=console.comma_list,
     metavar="POINT,...",
     help="control points that are drawn, separated by commas; default: all",
 )
-@ROOT
+@console.ROOT
 def run(
     scenario: Path,
     out: Path,
@@ -94,44 +84,34 @@ def run(
 ) -> None:
     """Fly a scenario: trajectory, heating, temperatures, plots."""
     from sim_heating.base.files import require_writable
-    from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.results import limits_in_words, run_table
-    from sim_heating.simulation.run import (
-        files_of,
-        fly_beside,
-        load_writers,
-        require_points,
-        rmse_by_point,
-        run,
-        summary,
-        write_run,
-    )
+    from sim_heating.simulation.run import files_of, fly_beside, load_writers, require_points, rmse_by_point, summary
 
-    loaded = load_scenario(scenario, root=root)
+    loaded = sh.load_scenario(scenario, root=root)
     of_bands = _members(members, bands, root)
     if plot_points is not None:
         require_points(plot_points, loaded.names, "--plot-points")
     require_writable(out, "run", expected=files_of(loaded), inputs=loaded.files)
-    with progress_line(loaded.title) as progress:
+    with console.progress_line(loaded.title) as progress:
         flight = fly_beside(loaded, load_writers, progress)
-        result = run(loaded, flight=flight, progress=progress)
+        result = sh.run(loaded, flight=flight, progress=progress)
         if bands:
             from sim_heating.planning.bands import with_bands
 
             progress(0.9, "marching what is uncertain")
             result = with_bands(result, of_bands)
-        names = write_run(result, out, points=plot_points, progress=progress)
+        names = sh.write_run(result, out, points=plot_points, progress=progress)
     contents = summary(result)
     _print_with_margins(run_table(loaded.title, contents, rmse_by_point(result)))
-    CONSOLE.print(limits_in_words(contents))
+    console.CONSOLE.print(limits_in_words(contents))
     _print_run_warnings(contents)
-    print_outputs(out, names, "summary.json")
+    console.print_outputs(out, names, "summary.json")
 
 
 def _print_with_margins(table: Table) -> None:
     """Print a table with negative margins in red."""
     margins = ["margin" in column.head for column in table.layout]
-    print_table(table, lambda i, k: "red" if margins[k] and (table.rows[i][k] or 0.0) < 0.0 else "")
+    console.print_table(table, lambda i, k: "red" if margins[k] and (table.rows[i][k] or 0.0) < 0.0 else "")
 
 
 def _print_run_warnings(contents: dict[str, Any]) -> None:
@@ -144,21 +124,21 @@ def _print_run_warnings(contents: dict[str, Any]) -> None:
 
     for event in contents["events"]:
         if event["what"].endswith(NOT_FLOWN):
-            print_warning(event["what"])
+            console.print_warning(event["what"])
     _print_range_warnings(contents["control_points"])
     for line in rising_bondlines(contents["control_points"], SHOWN_NAMES):
-        CONSOLE.print(line)
+        console.CONSOLE.print(line)
     if contents["beyond_reference"]:
-        print_warning(contents["beyond_reference"])
+        console.print_warning(contents["beyond_reference"])
     for label, c in contents["compared"].items():
         if c["table_sigmas"] is not None:
-            CONSOLE.print(
+            console.CONSOLE.print(
                 f"{label}: measured over predicted flux {c['flux_ratio']:.2f} where it is hot, "
                 f"{c['table_sigmas']:+.1f} sigma of its ratio table"
             )
     difference = contents["plugin_apart_K"]
     if difference:
-        CONSOLE.print(
+        console.CONSOLE.print(
             f"Plug-in alongside the host: surface temperatures within {max(difference.values()):.2f} K of the march"
         )
 
@@ -167,7 +147,7 @@ def _print_prediction_warnings(summaries: dict[str, Any]) -> None:
     _print_range_warnings(summaries)
     for name, contents in summaries.items():
         if contents["beyond_reference"]:
-            print_warning(f"{name}: {contents['beyond_reference']}")
+            console.print_warning(f"{name}: {contents['beyond_reference']}")
 
 
 def _print_range_warnings(points: dict[str, Any]) -> None:
@@ -175,53 +155,50 @@ def _print_range_warnings(points: dict[str, Any]) -> None:
     from sim_heating.march.history import range_lines
 
     for line in range_lines(points, SHOWN_NAMES):
-        print_warning(line)
+        console.print_warning(line)
 
 
 @click.command()
-@click.argument("scenario", type=PATH)
-@OUT
-@ROOT
+@click.argument("scenario", type=console.PATH)
+@console.OUT
+@console.ROOT
 def synthesize(scenario: Path, out: Path, root: Path | None) -> None:
     """Fly a scenario and write it as flight records, with the sensor model applied."""
     import numpy as np
 
     from sim_heating.base.files import require_writable
-    from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.run import fly_beside
-    from sim_heating.simulation.synthesize import files_of, load_writers, write_records
-    from sim_heating.simulation.synthesize import synthesize as fly_and_measure
+    from sim_heating.simulation.synthesize import files_of, load_writers
 
-    loaded = load_scenario(scenario, root=root)
+    loaded = sh.load_scenario(scenario, root=root)
     if not any(loaded.vehicle.control_point(name).sensors for name in loaded.names):
         raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
     require_writable(out, "synthesize", expected=files_of(loaded), inputs=loaded.files)
-    with progress_line(loaded.title) as progress:
+    with console.progress_line(loaded.title) as progress:
         flight = fly_beside(loaded, load_writers, progress)
-        records = fly_and_measure(loaded, flight=flight, progress=progress)
-        names = write_records(loaded, records, out)
+        records = sh.synthesize(loaded, flight=flight, progress=progress)
+        names = sh.write_records(loaded, records, out)
     samples = sum(int(np.sum(np.isfinite(r.temperatures_K()))) for r in records.values())
     count = f"{len(records)} record" + ("s" if len(records) > 1 else "")
     seed = loaded.declared.measurements.seed
-    CONSOLE.print(f"{count}, {samples} readings, seed {seed}")
-    print_outputs(out, names, {"records": sorted(records), "readings": samples, "seed": seed})
+    console.CONSOLE.print(f"{count}, {samples} readings, seed {seed}")
+    console.print_outputs(out, names, {"records": sorted(records), "readings": samples, "seed": seed})
 
 
 @click.command()
-@OUT
+@console.OUT
 def demo(out: Path) -> None:
     """The main job: a JSBSim entry through a Mach-20 POPU, its thermocouple data, and a comparison with STS-96."""
     from sim_heating.base.files import require_writable
-    from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation import run, synthesize
     from sim_heating.simulation.results import limits_in_words, rmse_table, run_table
 
-    popu, sts96 = (load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
+    popu, sts96 = (sh.load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
     popu = with_installed_source(popu)
     for folder, scenario, module in (("popu", popu, run), ("records", popu, synthesize), ("sts96", sts96, run)):
         command = module.__name__.rpartition(".")[2]
         require_writable(out / folder, command, expected=module.files_of(scenario), inputs=scenario.files)
-    with _process(_run_and_write, sts96.path, out / "sts96") as compared, progress_line("demo") as progress:
+    with _process(_run_and_write, sts96.path, out / "sts96") as compared, console.progress_line("demo") as progress:
         flown = run.run(popu, progress=lambda f, text: progress(0.6 * f, f"POPU {text}"))
         names = [f"popu/{n}" for n in run.write_run(flown, out / "popu")]
         progress(0.6, "measuring the same flight")
@@ -232,10 +209,10 @@ def demo(out: Path) -> None:
     names += [f"sts96/{n}" for n in sts96_names]
     contents = run.summary(flown)
     _print_with_margins(run_table(popu.title, contents, {}))
-    CONSOLE.print(limits_in_words(contents))
-    print_table(rmse_table(sts96.title, rmse_K))
+    console.CONSOLE.print(limits_in_words(contents))
+    console.print_table(rmse_table(sts96.title, rmse_K))
     _print_run_warnings(contents)
-    print_outputs(out, names, {"popu": contents, "sts96": {"rmse_K": rmse_K}})
+    console.print_outputs(out, names, {"popu": contents, "sts96": {"rmse_K": rmse_K}})
 
 
 def with_installed_source(scenario: Scenario) -> Scenario:
@@ -246,7 +223,7 @@ def with_installed_source(scenario: Scenario) -> Scenario:
     declared = scenario.declared
     if declared.trajectory.source != "jsbsim" or find_spec("jsbsim") is not None:
         return scenario
-    print_warning("JSBSim is not installed: the entry is flown in three degrees of freedom")
+    console.print_warning("JSBSim is not installed: the entry is flown in three degrees of freedom")
     trajectory = declared.trajectory.model_copy(update={"source": "entry-3dof"})
     return replace(scenario, declared=declared.model_copy(update={"trajectory": trajectory}))
 
@@ -302,11 +279,10 @@ def _send_result(sender: Any, function: Callable[..., Any], *arguments: Any) -> 
 
 def _run_and_write(scenario: Path, out: Path) -> tuple[dict[str, float], list[str]]:
     """Run a scenario, write its files; RMSE [K] against measured histories by control point, and names of files."""
-    from sim_heating.inputs.scenario import load_scenario
-    from sim_heating.simulation.run import rmse_by_point, run, write_run
+    from sim_heating.simulation.run import rmse_by_point
 
-    result = run(load_scenario(scenario))
-    return rmse_by_point(result), write_run(result, out)
+    result = sh.run(sh.load_scenario(scenario))
+    return rmse_by_point(result), sh.write_run(result, out)
 
 
 def _scenario_folder() -> Path:
@@ -320,13 +296,15 @@ def _scenario_folder() -> Path:
 
 
 @click.command()
-@click.argument("records", type=PATH, nargs=-1, required=True)
-@OUT
+@click.argument("records", type=console.PATH, nargs=-1, required=True)
+@console.OUT
 @click.option("--vehicle", help="take ratio tables and effects of this vehicle in place of the records' own tables")
-@click.option("--without", callback=comma_list, help="declared `transition`, `catalysis` or both (commas): left out")
+@click.option(
+    "--without", callback=console.comma_list, help="declared `transition`, `catalysis` or both (commas): left out"
+)
 @BANDS
 @MEMBERS
-@ROOT
+@console.ROOT
 def predict(
     records: tuple[Path, ...],
     out: Path,
@@ -342,16 +320,14 @@ def predict(
     from sim_heating.inputs.declared_effects import left_out
     from sim_heating.inputs.points import undeclared_effects
     from sim_heating.inputs.record import load_records
-    from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.simulation.predict import FILES, load_writers, summary
-    from sim_heating.simulation.predict import predict as predict_record
     from sim_heating.simulation.results import prediction_table
 
     loaded = load_records(records, root=root)
     inputs = [record.directory for record in loaded]
     revised = None
     if vehicle is not None:
-        revised = load_vehicle(vehicle, root=root)
+        revised = sh.load_vehicle(vehicle, root=root)
         inputs.append(revised.directory)
     folders = [out if len(loaded) == 1 else out / record.name for record in loaded]
     require_writable(out, "predict", inputs=inputs)
@@ -372,28 +348,28 @@ def predict(
 
                 prediction = predict_with_band(record, of_bands, model, flow)
             else:
-                prediction = predict_record(record, model, flow=flow)
+                prediction = sh.predict(record, model, flow=flow)
             _ = prediction.credibility  # kept with it: kernels are then loaded in one process alone
             predictions.append(prediction)
         return predictions
 
-    with progress_line("predict") as progress:
+    with console.progress_line("predict") as progress:
         predictions = in_copy(predicted, load_writers, progress)
         names = _write_predictions(predictions, folders, out)
     summaries = {p.record.name: summary(p) for p in predictions}
-    print_table(prediction_table(list(summaries.values())))
+    console.print_table(prediction_table(list(summaries.values())))
     _print_prediction_warnings(summaries)
     if revised is None and not absent:
         for line in filter(None, map(undeclared_effects, loaded)):
-            CONSOLE.print(line)
-    print_outputs(out, map(str, names), "summary.json" if len(summaries) == 1 else {"records": summaries})
+            console.CONSOLE.print(line)
+    console.print_outputs(out, map(str, names), "summary.json" if len(summaries) == 1 else {"records": summaries})
 
 
 def _write_predictions(predictions: list[Prediction], folders: list[Path], out: Path) -> list[Path | str]:
     """Write each prediction into its folder, and the page of several; names of the files below `out`."""
-    from sim_heating.simulation.predict import write_prediction, write_predictions_page
+    from sim_heating.simulation.predict import write_predictions_page
 
     names: list[Path | str] = []
     for prediction, folder in zip(predictions, folders, strict=True):
-        names += [(folder / name).relative_to(out) for name in write_prediction(prediction, folder)]
+        names += [(folder / name).relative_to(out) for name in sh.write_prediction(prediction, folder)]
     return [*names, write_predictions_page(predictions, out)] if len(predictions) > 1 else names

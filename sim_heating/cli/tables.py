@@ -3,41 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+import sim_heating as sh
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import (
-    CONSOLE,
-    FORCE,
-    OUT,
-    PATH,
-    ROOT,
-    NumberRange,
-    optional_directory,
-    print_table,
-    progress_line,
-)
+from sim_heating.cli import console
 from sim_heating.cli.output import report_files, report_results
+
+if TYPE_CHECKING:
+    from sim_heating.heating.ratio.table import RatioTable
 
 
 @click.command("update-tables")
-@click.argument("fit", type=PATH, required=False)
+@click.argument("fit", type=console.PATH, required=False)
 @click.option("--vehicle", required=True, help="name or directory of the vehicle whose table is revised")
-@click.option("--out", callback=optional_directory, help="put a copy of the vehicle there and revise that")
+@click.option("--out", callback=console.optional_directory, help="put a copy of the vehicle there and revise that")
 @click.option(
     "--record",
     "records",
-    type=PATH,
+    type=console.PATH,
     multiple=True,
     help="the estimate's records, where they are not at the paths in it",
 )
 @click.option("--point", help="the control point, where the estimate has several")
-@click.option("--check", "checked", type=PATH, multiple=True, help="another record to predict before and after")
+@click.option("--check", "checked", type=console.PATH, multiple=True, help="another record to predict before and after")
 @click.option("--accept-partly", is_flag=True, help="take what a closed loop only resembles as its cause")
 @click.option("--dry-run", is_flag=True, help="show what would change and write nothing")
 @click.option("--revert", metavar="POINT", help="put table and effects of this point back to the parent revision")
-@ROOT
+@console.ROOT
 def update_tables(
     fit: Path | None,
     vehicle: str,
@@ -59,7 +54,7 @@ def update_tables(
         return
     if revert is not None:
         raise InputError(f"--revert {revert}: takes no FIT; leave out {fit}")
-    with progress_line("update-tables") as progress:
+    with console.progress_line("update-tables") as progress:
         updated = report.update_tables(
             fit,
             vehicle,
@@ -74,19 +69,19 @@ def update_tables(
         )
     for section in report.update_report(updated):
         if isinstance(section, str):
-            CONSOLE.print(section)
+            console.CONSOLE.print(section)
         else:
-            print_table(section)
+            console.print_table(section)
     directory, revision = updated.vehicle, updated.revision
     if directory is None or revision is None:
-        CONSOLE.print("Dry run: nothing was written")
+        console.CONSOLE.print("Dry run: nothing was written")
         report_results({"revision": None, "nodes_changed": updated.nodes_changed, "errors_K": updated.errors_K})
         return
     why = revision_path(directory, revision.control_point, revision.revision, "json")
     picture = " and .png" if why.with_suffix(".png").is_file() else ""
     effects = f" and {point_path(directory, revision.control_point)}" if revision.effects else ""
     line = f"Wrote {directory / revision.table}{effects}, revision {revision.revision}; why: {why}{picture}"
-    CONSOLE.print(line, soft_wrap=True)
+    console.CONSOLE.print(line, soft_wrap=True)
     report_files(None, [directory / revision.table, why])
     report_results(why)
 
@@ -102,16 +97,16 @@ def _revert_table(vehicle: str, point: str | None, has_other_options: bool, root
     if has_other_options:
         raise InputError(f"--revert {point}: takes no other option; leave out --out and --dry-run")
     directory = checked_directory(vehicle, root)
-    with progress_line("update-tables") as progress, revising(directory, progress):
+    with console.progress_line("update-tables") as progress, revising(directory, progress):
         undone, now = revert(directory, point)
-    CONSOLE.print(f"{point}: revision {undone} undone; revision {now} is in force, byte for byte")
+    console.CONSOLE.print(f"{point}: revision {undone} undone; revision {now} is in force, byte for byte")
     report_results({"control_point": point, "undone": undone, "revision": now})
 
 
 @click.command("ratio-tables")
 @click.argument("vehicles", nargs=-1, required=True)
-@FORCE
-@ROOT
+@console.FORCE
+@console.ROOT
 def ratio_tables(vehicles: tuple[str, ...], root: Path | None) -> None:
     """Build the heating-ratio tables of VEHICLES from the descriptions in their folders `ratio_sources`.
 
@@ -131,13 +126,13 @@ def ratio_tables(vehicles: tuple[str, ...], root: Path | None) -> None:
         paths = write_tables(vehicle, root=root)
         report_files(None, paths)
         for path in paths:
-            CONSOLE.print(display_path(path), soft_wrap=True)
+            console.CONSOLE.print(display_path(path), soft_wrap=True)
 
 
 @click.command("measured-records")
-@click.argument("scenario", type=PATH)
-@OUT
-@ROOT
+@click.argument("scenario", type=console.PATH)
+@console.OUT
+@console.ROOT
 def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
     """Make flight records of measured histories along the simulated flight of a SCENARIO.
 
@@ -158,29 +153,30 @@ def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
       sim-heating measured-records scenarios/sts96_iss.toml --out records
     """
     from sim_heating.base.files import display_path, files_written
-    from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.measured_records import write_compared_records
 
-    paths = write_compared_records(load_scenario(scenario, root=root), out)
+    paths = write_compared_records(sh.load_scenario(scenario, root=root), out)
     report_files(out, files_written(out))
     report_results({"records": paths})
     for path in paths:
-        CONSOLE.print(display_path(path), soft_wrap=True)
+        console.CONSOLE.print(display_path(path), soft_wrap=True)
 
 
 @click.command("table")
 @click.argument("source")
-@click.option("--out", type=PATH, help="file to write; its suffix is its format; without it the table is described")
+@click.option(
+    "--out", type=console.PATH, help="file to write; its suffix is its format; without it the table is described"
+)
 @click.option("--vehicle", help="with body points: the vehicle whose control points get tables; --out is then a folder")
 @click.option(
     "--farthest",
-    type=NumberRange(min=0.0),
+    type=console.NumberRange(min=0.0),
     default=0.5,
     show_default=True,
     help="with --vehicle: most distance of a body point, m",
 )
-@FORCE
-@ROOT
+@console.FORCE
+@console.ROOT
 def table(source: str, out: Path | None, vehicle: str | None, farthest: float, root: Path | None) -> None:
     """Take a heating-ratio table from one file format to another.
 
@@ -196,36 +192,47 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
       sim-heating table aero.dml --out my_vehicle/aero          # and back, as its CSV files
     """
     from sim_heating.base.files import display_path
-    from sim_heating.heating.exchange.ratio_formats import read_table, write_table
-    from sim_heating.inputs.vehicle import load_vehicle
+    from sim_heating.heating.exchange.ratio_formats import write_table
 
     if vehicle is not None:
         _tables_of_body_points(Path(source), vehicle, out, farthest, root)
         return
     name, _, point_name = source.rpartition("/")
-    is_point = name and not Path(source).is_file() and not Path(source).suffix
-    if out is not None and is_point and point_name == "aero":
+    if Path(source).is_file() or Path(source).suffix:
+        name = ""  # SOURCE is no point of a vehicle
+    if out is None:
+        _describe_table(source, _table_of(source, name, point_name, root))
+        return
+    if name and point_name == "aero":
         _export_aero(name, out, root)
         return
-    if out is not None and out.name == "aero":
+    if out.name == "aero":
         _import_aero(source, out)
         return
-    read = load_vehicle(name, root=root).control_point(point_name).ratio if is_point else read_table(source)
-    if out is None:
-        nodes = [len(axis) for axis in read.axes]
-        shape = " x ".join(map(str, nodes))
-        CONSOLE.print(f"{source}: {shape} nodes, ratio {read.ratio.min():.4g} to {read.ratio.max():.4g}")
-        report_results({"nodes": nodes, "header": dict(read.header)})
-        return
+    read = _table_of(source, name, point_name, root)
     _require_no_file(out, "name")
     if out.suffix.lower() != ".xml":
         write_table(out, read)
-    elif is_point:
+    elif name:
         _write_jsbsim_system(name, point_name, out, root)
     else:
         raise InputError(f"{source}: a system of JSBSim needs the wall of a point; give VEHICLE/POINT as the source")
     report_files(None, [out])
-    CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+    console.CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+
+
+def _table_of(source: str, vehicle: str, point_name: str, root: Path | None) -> RatioTable:
+    """The table of a file; of a vehicle's point where that is named."""
+    from sim_heating.heating.exchange.ratio_formats import read_table
+
+    return sh.load_vehicle(vehicle, root=root).control_point(point_name).ratio if vehicle else read_table(source)
+
+
+def _describe_table(source: str, table: RatioTable) -> None:
+    nodes = [len(axis) for axis in table.axes]
+    shape = " x ".join(map(str, nodes))
+    console.CONSOLE.print(f"{source}: {shape} nodes, ratio {table.ratio.min():.4g} to {table.ratio.max():.4g}")
+    report_results({"nodes": nodes, "header": dict(table.header)})
 
 
 def _require_no_file(path: Path, other: str) -> None:
@@ -245,13 +252,12 @@ def _import_aero(source: str, out: Path) -> None:
         if not replaces_others():
             raise InputError(f"{display_path(path)}: exists; choose another folder, or --force replaces it")
     for path in import_aero(source, out):
-        CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
+        console.CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
 
 
 def _export_aero(vehicle: str, out: Path, root: Path | None) -> None:
     """Write the aerodynamics of a vehicle as DAVE-ML."""
     from sim_heating.base.files import display_path, replaces_others
-    from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.trajectory.aero import load_aero
     from sim_heating.trajectory.aero_exchange import export_aero
 
@@ -259,9 +265,9 @@ def _export_aero(vehicle: str, out: Path, root: Path | None) -> None:
         raise InputError(f"{display_path(out)}: aerodynamics are written as DAVE-ML; name a file that ends in .dml")
     if out.exists() and not replaces_others():
         raise InputError(f"{display_path(out)}: exists; choose another name, or --force replaces it")
-    export_aero(load_aero(load_vehicle(vehicle, root=root).directory), out)
+    export_aero(load_aero(sh.load_vehicle(vehicle, root=root).directory), out)
     report_files(None, [out])
-    CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+    console.CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
 
 
 def _write_jsbsim_system(vehicle: str, point_name: str, out: Path, root: Path | None) -> None:
@@ -271,10 +277,9 @@ def _write_jsbsim_system(vehicle: str, point_name: str, out: Path, root: Path | 
     """
     from sim_heating.base.files import write_text_atomic
     from sim_heating.inputs.points import wall_enthalpy_of
-    from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.trajectory.jsbsim.heating_system import jsbsim_system_text
 
-    loaded = load_vehicle(vehicle, root=root)
+    loaded = sh.load_vehicle(vehicle, root=root)
     point = loaded.control_point(point_name)
     emissivity = point.construction.layer_materials()[0].emissivity
     if emissivity is None:
@@ -298,11 +303,10 @@ def _tables_of_body_points(source: Path, vehicle: str, out: Path | None, farthes
     from sim_heating.base.files import display_path
     from sim_heating.heating.exchange.body_points import tables_of_body_points
     from sim_heating.heating.exchange.ratio_formats import write_table
-    from sim_heating.inputs.vehicle import load_vehicle
 
     if out is None or out.suffix:
         raise InputError("table --vehicle: give --out DIR, a folder for the tables of the control points")
-    loaded = load_vehicle(vehicle, root=root)
+    loaded = sh.load_vehicle(vehicle, root=root)
     positions = {name: loaded.control_point(name).position_m for name in loaded.control_points}
     tables = tables_of_body_points(
         source,
@@ -318,9 +322,9 @@ def _tables_of_body_points(source: Path, vehicle: str, out: Path | None, farthes
     out.mkdir(parents=True, exist_ok=True)
     for path, body_table in zip(paths, tables.values(), strict=True):
         write_table(path, body_table)
-        CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
+        console.CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
     report_files(None, paths)
     far = [name for name in positions if name not in tables]
     if far:
-        CONSOLE.print(f"No body point within {farthest_m:g} m: {', '.join(far)}", soft_wrap=True)
+        console.CONSOLE.print(f"No body point within {farthest_m:g} m: {', '.join(far)}", soft_wrap=True)
     report_results({"control_points": list(tables), "too_far": far})

@@ -4,8 +4,6 @@
 compares it with these.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -71,6 +69,11 @@ class Evidence:
     topics: Mapping[str, Topic]
     claims: tuple[Claim, ...]
     cases: tuple[ValidationCase, ...]
+
+    @property
+    def verified(self) -> set[str]:
+        """Names of the topics that are verified."""
+        return {name for name, topic in self.topics.items() if topic.verified}
 
 
 @cache

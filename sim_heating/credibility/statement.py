@@ -1,7 +1,5 @@
 """The credibility statement of a result: the level of each factor, the evidence behind it, and what is missing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -120,12 +118,7 @@ class Statement:
         """Topics that the result uses and no verification row covers, or whose rows are not all within their limits."""
         none = [t for t in sorted(self.facts.topics) if t not in self.evidence.topics]
         return tuple(
-            none
-            + [
-                t
-                for t in sorted(self.facts.topics)
-                if t in self.evidence.topics and not self.evidence.topics[t].verified
-            ]
+            none + [t for t in sorted(self.facts.topics) if t in self.evidence.topics.keys() - self.evidence.verified]
         )
 
     @property
@@ -301,8 +294,7 @@ def _some(names: Sequence[str], most: int = 4) -> str:
 
 
 def _verification_findings(facts: Facts, evidence: Evidence) -> dict[str, Answer]:
-    topics = evidence.topics
-    verified = {name for name, topic in topics.items() if topic.verified}
+    topics, verified = evidence.topics, evidence.verified
     core = [t for t in CORE if t in verified]
     rows = sum(topics[t].rows for t in facts.topics & topics.keys())
     uncovered = sorted(facts.topics - verified)
@@ -361,12 +353,13 @@ def _uncertainty_findings(facts: Facts, evidence: Evidence) -> dict[str, Answer]
     stated = "no standard deviation of the main quantity"
     if u is not None:
         stated = f"{u.quantity}: sigma {u.sigma:.3g} {u.unit}".rstrip()
+    counted = Answer(not unmet, text)
+    if not claims:
+        counted = Answer(False, f"bounds of a {facts.kind} were not counted against known truths")
     return {
         "uncertainty.declared": Answer(facts.sigma, declared),
         "uncertainty.stated": Answer(u is not None, stated),
-        "uncertainty.counted": Answer(
-            bool(claims) and not unmet, text or f"bounds of a {facts.kind} were not counted against known truths"
-        ),
+        "uncertainty.counted": counted,
         "uncertainty.consistent": facts.consistent,
     }
 

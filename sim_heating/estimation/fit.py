@@ -472,9 +472,7 @@ def check_profiles(names: Sequence[str], labels: Sequence[str], innovations: Inn
             raise InputError(f"profile of `{name}`: is not estimated{hint}")
 
 
-def fit_problem(
-    problem: FitProblem, first: FloatArray, *, settings: NewtonSettings | None = None, progress: Progress = no_progress
-) -> FitResult:
+def fit_problem(problem: FitProblem, first: FloatArray, *, settings: NewtonSettings | None = None) -> FitResult:
     """The fit of a problem that is set up, all of its parameters estimated.
 
     first   : (parameter,) values to start from, each in its unit
@@ -483,7 +481,7 @@ def fit_problem(
 
     Source: docs/theory/estimation_statistics.md, equations 13 to 26 and 31.
     """
-    return _fit_result(problem, _fit(problem, first, settings, progress), {}, (), None)
+    return _fit_result(problem, _fit(problem, first, settings, no_progress), {}, (), None)
 
 
 def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> FitResult:
@@ -526,6 +524,15 @@ def _reasons_to_omit(label: str, covered: Sequence[Record], *, is_tied: bool, is
     return reasons if is_chosen else observability.unsupported_derivatives([label], covered) | reasons
 
 
+def _named(names: Sequence[str] | None, fixed: Collection[str]) -> list[str]:
+    """Names that are stated, without that of the default; InputError where one of them is fixed."""
+    named = [n for n in names or () if n != DEFAULT]
+    for name in named:
+        if not {name, name.partition(AT)[0]}.isdisjoint(fixed):
+            raise InputError(f"{name}: is fixed, and named to be estimated; do one of the two")
+    return named
+
+
 def _labels_to_estimate(
     names: Sequence[str] | None, records: Sequence[Record], options: FitOptions
 ) -> tuple[list[str], dict[str, str], frozenset[str]]:
@@ -536,10 +543,7 @@ def _labels_to_estimate(
     """
     owners, fixed = Owners(records), options.fixed or {}
     fixed_labels = owners.labels(fixed)
-    named = [n for n in names or () if n != DEFAULT]
-    for name in named:
-        if not {name, name.partition(AT)[0]}.isdisjoint(fixed):
-            raise InputError(f"{name}: is fixed, and named to be estimated; do one of the two")
+    named = _named(names, fixed)
     by_default = _default_labels(names, owners)
     labels = [n for n in dict.fromkeys((*by_default, *owners.labels(named))) if n not in fixed_labels]
     require_estimated(options, owners, labels)
@@ -656,16 +660,25 @@ def _information(problem: FitProblem, values: FloatArray) -> FloatArray:
     return evaluation.information + np.diag([p.sigma**-2.0 for p in problem.parameters])
 
 
+def _typical_ratios(problem: FitProblem, values: FloatArray) -> FloatArray:
+    """(record,) heating ratio [-]: that of the reference condition where it is estimated, else the declared mean."""
+    ratios = np.array([observability.mean_ratio(record_fit.record) for record_fit in problem.record_fits])
+    for u, value in zip(problem.unknowns, values, strict=True):
+        if is_d0(u.parameter):
+            ratios[list(u.records)] = abs(value)
+    return ratios
+
+
 def _least_determined(problem: FitProblem, values: FloatArray) -> dict[str, str]:
     """The least determined parameter of a problem at a vector, and why it should be omitted; empty for none."""
     labels = [u.label for u in problem.unknowns]
-    d0 = {i: abs(v) for u, v in zip(problem.unknowns, values, strict=True) for i in u.records if is_d0(u.parameter)}
-    declared = [observability.mean_ratio(record_fit.record) for record_fit in problem.record_fits]
+    typical = _typical_ratios(problem, values)
     ratio, excursion = np.full(len(labels), np.nan), np.zeros((len(labels), len(RATIO_VARIABLES)))
     flown: dict[tuple[int, ...], FloatArray] = {}
     for k, u in enumerate(problem.unknowns):
-        ratios = [r for r in (d0.get(i, declared[i]) for i in u.records) if np.isfinite(r)]
-        ratio[k] = np.mean(ratios) if ratios else np.nan
+        ratios = typical[list(u.records)]
+        if np.any(np.isfinite(ratios)):
+            ratio[k] = np.mean(ratios[np.isfinite(ratios)])
         if u.records not in flown:
             flown[u.records] = observability.deviations([problem.record_fits[i].record for i in u.records])
         excursion[k] = flown[u.records]
@@ -819,14 +832,17 @@ def _fit_result(
         *table_warnings(problem.record_fits),
         *fit_warnings(problem, fit, samples),
     )
+    return FitResult(problem, fit, _bounds(problem, fit, samples), omitted, before, after, notes, innovations)
+
+
+def _bounds(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSamples]) -> CramerRaoBounds:
+    errors = [r.model_error for r in problem.record_fits if r.model_error is not None]
     # an error of the model is in the information already, and what it leaves is white; noise of the conditions is not
     # all that a model may lack
-    inexact = any(r.model_error is not None and not r.model_error.is_noise_alone for r in problem.record_fits)
-    count = sum(len(s.mean_K) for s in samples) - len(fit.values)
-    white = CramerRaoBounds(fit.covariance, fit.covariance, float(count), {})
-    noisy = any(record_fit.model_error is not None for record_fit in problem.record_fits)
-    bounds = white if inexact else fit_bounds(problem.samples(fit.values) if noisy else samples, fit)
-    return FitResult(problem, fit, bounds, omitted, before, after, notes, innovations)
+    if not all(e.is_noise_alone for e in errors):
+        count = sum(len(s.mean_K) for s in samples) - len(fit.values)
+        return CramerRaoBounds(fit.covariance, fit.covariance, float(count), {})
+    return fit_bounds(problem.samples(fit.values) if errors else samples, fit)
 
 
 def predict_fit(record_fit: RecordFit, values: FloatArray, error: FloatArray = NO_ERROR) -> Prediction:

@@ -7,8 +7,6 @@ parameter's own prior is left out, so that the bound can be compared with it. Co
 that does not fit the readings, make the bounds of a fit larger.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -226,6 +224,12 @@ def _listed(model: PointModel, sensors: Sequence[Sensor]) -> list[ListedParamete
     ]
 
 
+def _name_without_coating(same: Sequence[str]) -> str:
+    """The name of a parameter with several, of a wall without a coating, whose layers have no roles; empty for none."""
+    name = same[:2][-1] if same[0].startswith(INSULATION) else same[0]
+    return "" if name.startswith("stack.coating.") else name
+
+
 def _of_heating_and_wall(model: PointModel) -> Iterator[ListedParameter]:
     """Parameters of the ratio and the stack, each once, with its other names."""
     absent = observability.MAGNITUDES[1] if model.ratio is not None else observability.MAGNITUDES[0]
@@ -235,9 +239,8 @@ def _of_heating_and_wall(model: PointModel) -> Iterator[ListedParameter]:
             names.setdefault(entry, []).append(name)
     has_coating = insulation_layer(model.construction) > 0
     for same in names.values():
-        # the role of a tile's layer comes before its own name; a wall without a coating has no such roles
-        name = same[0] if has_coating or len(same) == 1 or not same[0].startswith(INSULATION) else same[1]
-        if name == absent or (name.startswith("stack.coating.") and not has_coating):
+        name = same[0] if has_coating else _name_without_coating(same)
+        if name in (absent, ""):
             continue
         others = tuple(n for n in same if n != name)
         yield _entry(model.definition(name), model.value(name), _owner(name, model), others, name)
@@ -357,16 +360,18 @@ def _with_bounds(
         chosen = list(dict.fromkeys([k, *fitted]))
         with_heating = float(np.sqrt(covariance(information[np.ix_(chosen, chosen)])[0, 0]))
         near = sorted((j for j in usable if j != k and abs(rho[k, j]) > CONFOUNDED), key=lambda j: -abs(rho[k, j]))
-        identified = YES if with_all[k] < limits[k] else JOINTLY if with_heating < limits[k] else NO
-        if identified != NO and p.name in doubtful:
-            identified = WEAKLY
+        identified, reason = YES if with_all[k] < limits[k] else JOINTLY, ""
+        if not (with_all[k] < limits[k] or with_heating < limits[k]):
+            identified, reason = NO, _too_wide(p, with_heating / float(limits[k]))
+        elif p.name in doubtful:
+            identified, reason = WEAKLY, doubtful[p.name]
         return replace(
             p,
             sigma_alone=float(alone[k]),
             sigma_with_heating=with_heating,
             sigma_with_all=float(with_all[k]),
             identified=identified,
-            reason=doubtful.get(p.name, "") if identified != NO else _too_wide(p, with_heating / float(limits[k])),
+            reason=reason,
             confounded_with=tuple((names[j], float(rho[k, j])) for j in near),
         )
 

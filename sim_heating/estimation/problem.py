@@ -75,7 +75,7 @@ class FitProblem:
     ) -> None:
         self.reference, self.options = reference, options
         self.stated = StatedParameters(Owners(records), options)
-        fixed = [self.stated.fixed(r) for r in records]
+        fixed = list(map(self.stated.fixed, records))
         names_of = [self.owners.of_record(names, r) for r in records]
         models = [self.stated.model(r, n, reference) for r, n in zip(records, names_of, strict=True)]
         # the mesh is chosen once, for the declared model: a likelihood with another mesh at each step would not be

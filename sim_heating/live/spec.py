@@ -32,21 +32,9 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
+from sim_heating.base import files
 from sim_heating.base.conditions import FRAME, SURFACES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import (
-    Declared,
-    LocatedError,
-    Location,
-    check,
-    display_path,
-    raise_located,
-    raise_problems,
-    read_toml,
-    repeated_name,
-    roots_of,
-    suggestion,
-)
 from sim_heating.base.files.roots import Roots
 from sim_heating.base.parameters import MODEL, layer_parameter
 from sim_heating.heating.recorded.fields import ConditionField, check_columns, field_or_table
@@ -76,7 +64,7 @@ PORT = Field(default=5500, ge=1, le=65535, description="port, 1 to 65535")
 # Sources -------------------------------------------------------------------------------------------------------------
 
 
-class Network(Declared):
+class Network(files.Declared):
     """Where the bytes come from.
 
     transport : "udp": datagrams sent to this machine; "tcp-server": others connect to it; "tcp-client": it connects to
@@ -95,7 +83,7 @@ class Network(Declared):
     @model_validator(mode="after")
     def _check_file(self) -> Network:
         if (self.file is None) == (self.transport == "file"):
-            raise LocatedError((("file",), 'goes with transport = "file" and no other; add or remove it'))
+            raise files.LocatedError((("file",), 'goes with transport = "file" and no other; add or remove it'))
         return self
 
 
@@ -129,7 +117,7 @@ class Packets(Network):
     apid: list[int] | None = Field(default=None, min_length=1)
 
 
-class Mqtt(Declared):
+class Mqtt(files.Declared):
     """Topics of an MQTT broker; a payload is a JSON object, or a number or text, whose field is the topic.
 
     host     : address of the broker
@@ -145,7 +133,7 @@ class Mqtt(Declared):
     user: str | None = None
 
 
-class Replay(Declared):
+class Replay(files.Declared):
     """A recorded flight, sent again.
 
     record : directory of the record, relative to the link file; the first of `records` where absent
@@ -165,7 +153,7 @@ Source = Annotated[JsonLines | JSBSimOutput | Packets | Mqtt | Replay, Discrimin
 # Mapping -------------------------------------------------------------------------------------------------------------
 
 
-class TimeField(Declared):
+class TimeField(files.Declared):
     """The field that holds the flight time.
 
     zero : time of the field at flight time 0, in its unit, as the start of a day or of the flight
@@ -178,7 +166,7 @@ class TimeField(Declared):
     zero: float = 0.0
 
 
-class SensorField(Declared):
+class SensorField(files.Declared):
     """The field that holds a thermocouple's words.
 
     sensor        : name of the thermocouple
@@ -202,14 +190,14 @@ class SensorField(Declared):
     @model_validator(mode="after")
     def _check_word(self) -> SensorField:
         if self.codes and (self.calibration is not None or self.unit != "K"):
-            raise LocatedError((("codes",), "gives K by the declared range; remove `calibration` and `unit`"))
+            raise files.LocatedError((("codes",), "gives K by the declared range; remove `calibration` and `unit`"))
         return self
 
 
 # What is done with it ------------------------------------------------------------------------------------------------
 
 
-class EstimateSettings(Declared):
+class EstimateSettings(files.Declared):
     """What is estimated at every control point.
 
     parameters      : dotted names; magnitude and derivatives of the heating ratio where absent
@@ -245,12 +233,12 @@ class EstimateSettings(Declared):
     @field_validator("prior")
     @classmethod
     def _check_priors(cls, values: dict[str, list[float]]) -> dict[str, list[float]]:
-        problems: list[tuple[Location, str]] = [
+        problems: list[tuple[files.Location, str]] = [
             ((name,), f"{value} is not [mean, sigma] with a sigma above 0")
             for name, value in values.items()
             if len(value) != 2 or not value[1] > 0.0
         ]
-        raise_located(problems)
+        files.raise_located(problems)
         return values
 
     @field_validator("parameters")
@@ -258,11 +246,11 @@ class EstimateSettings(Declared):
     def _check_names(cls, names: list[str] | None) -> list[str] | None:
         for name in names or []:
             if name not in MODEL and layer_parameter(name) is None and not name.startswith(NOT_OF_MODEL):
-                raise ValueError(f"unknown parameter `{name}`{suggestion(name, MODEL)}")
+                raise ValueError(f"unknown parameter `{name}`{files.suggestion(name, MODEL)}")
         return names
 
 
-class AheadSettings(Declared):
+class AheadSettings(files.Declared):
     """The look-ahead.
 
     horizon_s   : how far ahead temperatures are predicted, 10 to 600
@@ -283,7 +271,7 @@ class AheadSettings(Declared):
     heating_error: float = Field(default=0.0, ge=0.0, le=1.0)
 
 
-class MissingSettings(Declared):
+class MissingSettings(files.Declared):
     """The sequential test of the innovations.
 
     false_alarms_per_hour : rate of alarms where nothing is missing
@@ -294,7 +282,7 @@ class MissingSettings(Declared):
     false_alarms_per_hour: float = Field(default=0.01, gt=0.0, le=10.0)
 
 
-class JSBSimInput(Declared):
+class JSBSimInput(files.Declared):
     """The input socket of a running JSBSim, which the estimates are written to as properties.
 
     host   : address of the machine that JSBSim runs on
@@ -308,7 +296,7 @@ class JSBSimInput(Declared):
     prefix: str = Field(default="heating", pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*(/[A-Za-z_][A-Za-z0-9_.-]*)*/?$")
 
 
-class OutputSettings(Declared):
+class OutputSettings(files.Declared):
     """Where the state goes.
 
     page    : whether a page is served
@@ -330,7 +318,7 @@ class OutputSettings(Declared):
     jsbsim: JSBSimInput | None = None
 
 
-class JournalSettings(Declared):
+class JournalSettings(files.Declared):
     """How what came is kept.
 
     fsync_s : each message is given to the operating system at once, and forced to the disk after so much time; 0 after
@@ -342,7 +330,7 @@ class JournalSettings(Declared):
     fsync_s: float = Field(default=1.0, ge=0.0, le=60.0)
 
 
-class LinkFile(Declared):
+class LinkFile(files.Declared):
     """Contents of a link file.
 
     records     : records whose declared stacks, tables and sensors are followed, in place of a vehicle
@@ -382,14 +370,14 @@ class LinkFile(Declared):
     def _check_points(self) -> LinkFile:
         if (self.vehicle is None) == (self.records is None):
             raise ValueError("give either `vehicle` or `records`, not both and not neither")
-        if (name := repeated_name(self.control_points or [])) is not None:
-            raise LocatedError((("control_points",), f"`{name}` is repeated; name it once"))
+        if (name := files.repeated_name(self.control_points or [])) is not None:
+            raise files.LocatedError((("control_points",), f"`{name}` is repeated; name it once"))
         return self
 
     @model_validator(mode="after")
     def _check_jsbsim(self) -> LinkFile:
         if self.output.jsbsim is not None and not any(isinstance(s, JSBSimOutput) for s in self.source):
-            raise LocatedError(
+            raise files.LocatedError(
                 (("output", "jsbsim"), 'goes with a [[source]] of kind = "jsbsim"; add one or remove this table')
             )
         return self
@@ -482,7 +470,7 @@ def load_link(path: str | os.PathLike[str] | Link, *, root: str | os.PathLike[st
     """
     if isinstance(path, Link):
         return path
-    return make_link(read_toml(path, LinkFile), path, root=root)
+    return make_link(files.read_toml(path, LinkFile), path, root=root)
 
 
 def make_link(
@@ -496,12 +484,12 @@ def make_link(
     """
     file = Path(path)
     if not isinstance(declared, LinkFile):
-        declared = check(dict(declared), LinkFile, display_path(file))
-    roots = roots_of(file, root)
+        declared = files.check(dict(declared), LinkFile, files.display_path(file))
+    roots = files.roots_of(file, root)
     vehicle, records = None, {}
     if declared.vehicle is not None:
         vehicle = load_vehicle(vehicle_place(file, declared.vehicle, root=root), root=root)
-        roots = roots_of(file, root, vehicle.directory)
+        roots = files.roots_of(file, root, vehicle.directory)
         sensors_of = {p.name: tuple(p.sensors) for p in vehicle.control_points.values()}
     else:
         records = _followed_records(declared.records or [], roots, file, root)
@@ -513,7 +501,7 @@ def make_link(
     columns = _columns(declared, vehicle, {p.name: records[p.name] for p in points} if records else {})
     own_root = None if root is None else Path(root)
     link = Link(file, declared, vehicle, records, points, columns, scenario, roots, own_root)
-    raise_problems([*_scenario_problems(link), *_property_problems(link)])
+    files.raise_problems([*_scenario_problems(link), *_property_problems(link)])
     return link
 
 
@@ -542,9 +530,10 @@ def _points(declared: LinkFile, sensors_of: Mapping[str, tuple[Sensor, ...]], fi
     if chosen is None:
         chosen = [name for name, sensors in sensors_of.items() if sensors] or list(sensors_of)
     unknown = [name for name in chosen if name not in sensors_of]
-    raise_problems(
+    files.raise_problems(
         [
-            f"{display_path(file)}: `control_points`: unknown control point `{n}`{suggestion(n, sensors_of)}"
+            f"{files.display_path(file)}: `control_points`: unknown control point `{n}`"
+            f"{files.suggestion(n, sensors_of)}"
             for n in unknown
         ]
     )
@@ -572,10 +561,10 @@ def _followed_records(
 ) -> dict[str, Record]:
     """Records of one flight by their control points; InputError where conditions differ or two have one point."""
     records = load_records([roots.existing(name, "`records`") for name in names_of_files], root=root)
-    raise_problems(_apart(records, file))
+    files.raise_problems(_apart(records, file))
     names = [r.declared.control_point for r in records]
-    if (name := repeated_name(names)) is not None:
-        raise InputError(f"{display_path(file)}: two records are of control point {name}; leave one out")
+    if (name := files.repeated_name(names)) is not None:
+        raise InputError(f"{files.display_path(file)}: two records are of control point {name}; leave one out")
     return dict(zip(names, records, strict=True))
 
 
@@ -583,8 +572,8 @@ def _apart(records: Sequence[Record], file: Path) -> list[str]:
     """Records whose conditions differ: a frame holds one value of each column."""
     first = records[0].conditions
     return [
-        f"{display_path(file)}: `records`: {r.name} and {records[0].name} differ in their conditions, as in their own "
-        "h_ref_kg_m2_s; follow one of them, or the control points of a vehicle"
+        f"{files.display_path(file)}: `records`: {r.name} and {records[0].name} differ in their conditions, as in "
+        "their own h_ref_kg_m2_s; follow one of them, or the control points of a vehicle"
         for r in records[1:]
         if first.names != r.conditions.names
         or any(not np.array_equal(first[name], r.conditions[name]) for name in first.names)
@@ -596,17 +585,17 @@ def _scenario_problems(link: Link) -> list[str]:
     if link.scenario is None or link.vehicle is None or link.scenario.vehicle.name == link.vehicle.name:
         return []
     return [
-        f"{display_path(link.path)}, [ahead]: `scenario`: flies {link.scenario.vehicle.name}, the link follows "
+        f"{files.display_path(link.path)}, [ahead]: `scenario`: flies {link.scenario.vehicle.name}, the link follows "
         f"{link.vehicle.name}; they must be one vehicle"
     ]
 
 
 def _property_problems(link: Link) -> list[str]:
     """Two control points whose properties in a JSBSim would be one."""
-    if (folder := repeated_name(list(link.property_folders.values()))) is None:
+    if (folder := files.repeated_name(list(link.property_folders.values()))) is None:
         return []
     both = " and ".join(name for name, other in link.property_folders.items() if other == folder)
     return [
-        f"{display_path(link.path)}, [output.jsbsim]: control points {both} would both be {folder} in JSBSim; follow "
-        "one of them, or rename one"
+        f"{files.display_path(link.path)}, [output.jsbsim]: control points {both} would both be {folder} in JSBSim; "
+        "follow one of them, or rename one"
     ]

@@ -16,10 +16,8 @@ prior. Several sizes, and several estimates that the evidence cannot tell apart,
 normal distributions.
 """
 
-from __future__ import annotations
-
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -39,7 +37,7 @@ from sim_heating.estimation.inference.error_likelihood import STEP, scaled_heati
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior
 from sim_heating.estimation.report.estimate_file import Estimate, read_estimate
 from sim_heating.heating.edge_flow import EdgeFlow
-from sim_heating.heating.effects import combined_uses, use
+from sim_heating.heating.effects import EffectUse, combined_uses, use
 from sim_heating.heating.ratio.uncertainty import declared_ratio, declared_sigma
 from sim_heating.inputs.fit_settings import FitSettings
 from sim_heating.inputs.points import conditions_of_record, flow_of_record, point_of_record
@@ -151,21 +149,24 @@ def estimated_model(model: PointModel, estimate: Estimate, values: dict[str, flo
     names = estimated_names(model, estimate)
     at = {own: estimate.parameters[n].value for own, n in names.items()} | (values or {})
     plain = {n: v for n, v in at.items() if not n.startswith(EFFECT_PREFIX)}
-    effects = []
-    for name in dict.fromkeys([*(e.name for e in estimate.effects), *(n.split(".")[1] for n in at if n not in plain)]):
+    return replace(
+        model,
+        parameters=dict(model.parameters) | plain,
+        effects=combined_uses(model.effects, _estimated_effects(estimate, at)),
+        reference=tuple(estimate.reference_condition.values().tolist()),
+    )
+
+
+def _estimated_effects(estimate: Estimate, at: Mapping[str, float]) -> Iterator[EffectUse]:
+    """Effects of an estimate; at : values of parameters by their names in the model."""
+    named = (n.split(".")[1] for n in at if n.startswith(EFFECT_PREFIX))
+    for name in dict.fromkeys([*(e.name for e in estimate.effects), *named]):
         fitted = fitted_use(estimate, name)
         head = f"{EFFECT_PREFIX}{name}."
         changed = {n.removeprefix(head): v for n, v in at.items() if n.startswith(head)}
         if fitted is not None:
-            named = zip((p.name for p in fitted.effect.parameters), fitted.values, strict=True)
-            effects.append(use(name, dict(named) | changed))
-    reference = tuple(estimate.reference_condition.values().tolist())
-    return replace(
-        model,
-        parameters=dict(model.parameters) | plain,
-        effects=combined_uses(model.effects, effects),
-        reference=reference,
-    )
+            values = zip((p.name for p in fitted.effect.parameters), fitted.values, strict=True)
+            yield use(name, dict(values) | changed)
 
 
 def model_of_member(model: PointModel, member: Member) -> PointModel:

@@ -12,8 +12,6 @@ heating  The size of the heating's error, as the readings say with the wall free
 The values stay those of the estimate. Source: docs/theory/model_error.md, equations 5 and 12.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -82,6 +80,23 @@ def fitted_records(
     return records
 
 
+def _begins_in_flight(estimate: Estimate) -> bool:
+    """Whether the march of an estimate began in mid-flight."""
+    return estimate.starts is not None or any(n.startswith(OF_START) for n in estimate.parameters)
+
+
+def _fitted_problem(estimate: Estimate, records: Sequence[Record]) -> tuple[FitProblem, FloatArray]:
+    """The problem whose solution an estimate is, and its (parameter,) values, others at those declared."""
+    cleaned = [averaged_record(without_outliers(without_stuck_sensors(r)[0])[0])[0] for r in records]
+    problem = _problem(estimate, cleaned)
+    fitted = {n: p.value for n, p in estimate.parameters.items()}
+    values = np.array([fitted.get(u.label, u.parameter.value) for u in problem.unknowns])
+    if any(c.sensor.noise_sigma_K is None for r in problem.record_fits for c in r.channels):
+        problem.update_noise(values)
+    problem.correct_meshes(values)
+    return problem, values
+
+
 def considered(estimate: Estimate, records: Sequence[Record]) -> Considered:
     """What an estimate leaves open for another flight; its own covariance alone where its march began in mid-flight, or
     had process noise.
@@ -91,21 +106,16 @@ def considered(estimate: Estimate, records: Sequence[Record]) -> Considered:
     """
     labels = list(estimate.parameters)
     own = estimate.covariance(labels)
-    if estimate.innovations is not None or estimate.starts is not None or any(n.startswith(OF_START) for n in labels):
+    if _begins_in_flight(estimate) or estimate.innovations is not None:
         return Considered(tuple(labels), own)
-    cleaned = [averaged_record(without_outliers(without_stuck_sensors(r)[0])[0])[0] for r in records]
-    problem = _problem(estimate, cleaned)
-    fitted = {n: p.value for n, p in estimate.parameters.items()}
-    values = np.array([fitted.get(u.label, u.parameter.value) for u in problem.unknowns])
-    if any(c.sensor.noise_sigma_K is None for r in problem.record_fits for c in r.channels):
-        problem.update_noise(values)
-    problem.correct_meshes(values)
+    problem, values = _fitted_problem(estimate, records)
     noisy, size = with_stated_errors(problem, values, [stated_error(r.record) for r in problem.record_fits])
     inside = problem if estimate.model_error is None else noisy
-    held = np.flatnonzero([u.label not in labels for u in problem.unknowns])
+    order = [u.label for u in problem.unknowns]
+    held = np.flatnonzero([label not in labels for label in order])
     if len(held) == 0:
         return Considered(tuple(labels), own, size)
-    at = np.array([[u.label for u in problem.unknowns].index(n) for n in labels])
+    at = np.array(list(map(order.index, labels)))
     moved = np.diag(own) > 0.0  # one on its bound does not move
     information = inside.evaluate(values).information + np.diag([p.sigma**-2.0 for p in problem.parameters])
     free = at[moved]
@@ -113,7 +123,7 @@ def considered(estimate: Estimate, records: Sequence[Record]) -> Considered:
     A[moved] = _known(information[np.ix_(free, free)]) @ information[np.ix_(free, held)]
     of_wall = _known(information[np.ix_(held, held)] - information[np.ix_(held, at)] @ A)
     joint = np.block([[own + A @ of_wall @ A.T, -A @ of_wall], [-of_wall @ A.T, of_wall]])
-    return Considered((*labels, *(problem.unknowns[k].label for k in held)), joint, size)
+    return Considered((*labels, *(order[k] for k in held)), joint, size)
 
 
 def _known(information: FloatArray) -> FloatArray:

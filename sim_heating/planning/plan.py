@@ -5,8 +5,6 @@ fails is reported in one line, and the results of the others are kept. Linear al
 batches: a study gives the same bytes whatever the number of cores, and whatever the process did before.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -90,6 +88,10 @@ def parts_of(study: Study) -> dict[str, StudyPart]:
     return {name: study_part for name, study_part in parts.items() if getattr(study.declared, name) is not None}
 
 
+def _files_in(folder: Path) -> list[str]:
+    return [p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()]
+
+
 def plan(
     study: Study | str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -142,9 +144,8 @@ def plan(
                 if isinstance(error, InputError) and len(parts) == 1:
                     raise
                 done.failed[name] = str(error)
-        names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()} | {SUMMARY, PAGE}
         # The same object is written and returned: its credibility flies the base entry, once.
-        done = replace(done, files=tuple(sorted(names)))
+        done = replace(done, files=tuple(sorted({*_files_in(folder), SUMMARY, PAGE})))
         write_json(folder / SUMMARY, summary(done))
         write_page(folder / PAGE, lambda: page_of(done, folder))
     return done

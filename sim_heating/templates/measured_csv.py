@@ -5,8 +5,7 @@ with the reason of each choice. What a file does not state at all, such as a uni
 readings tell it, and asked for where they do not.
 """
 
-from __future__ import annotations
-
+import math
 import re
 import warnings
 from collections import Counter
@@ -28,19 +27,9 @@ from sim_heating.base.files.text import and_more_rows, listed
 from sim_heating.base.files.units import converted, known_unit, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
+from sim_heating.heating.recorded.cells import clocks
 from sim_heating.heating.recorded.cells import text as cell_text
 from sim_heating.heating.recorded.cells.block import Block
-from sim_heating.heating.recorded.cells.clocks import (
-    ANY_ORDER,
-    CLOCKS,
-    LONGEST_STEP_S,
-    ORDERS,
-    Clock,
-    clock_of,
-    over_midnight,
-    possible_clock,
-    with_colons,
-)
 from sim_heating.heating.recorded.cells.lists import wide_columns
 from sim_heating.heating.recorded.cells.numbers import (
     Numbers,
@@ -69,6 +58,7 @@ from sim_heating.templates.quantities import quantity
 UNUSED = "not used"
 """Kind of a column that is none of those of a layout."""
 SAYS_NOTHING = "name and unit say nothing"
+OF_FLOW = "a temperature of the flow"
 FEW_NUMBERS, NO_CELLS = "most cells hold no number", "all cells are empty"
 UNIT_KEYS = {TIME: "time_unit", TEMPERATURE: "temperature_unit", FLUX: "flux_unit"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
@@ -243,7 +233,7 @@ class _Head:
     name: str
     stated: str
     numbers: Numbers
-    clock: Clock | None
+    clock: clocks.Clock | None
     cells: list[str]
     emf: str = ""
 
@@ -292,7 +282,7 @@ def read_measured_csv(
     raises    : InputError, one line, where the file cannot be read so, with the option that helps
     """
     base = layout or LoggerLayout()
-    stated = {
+    stated: dict[str, object] = {
         "time": time,
         "time_unit": time_unit,
         "temperature_unit": temperature_unit,
@@ -307,7 +297,7 @@ def read_measured_csv(
         "sheet": sheet,
         "lost": [*base.lost, *lost] or None,
     }
-    chosen = base.with_options({key: value for key, value in stated.items() if value is not None})
+    chosen = base.with_options(stated)
     if time_unit is not None and (problem := unit_problem(time_unit, TIME)):
         raise InputError(f"{chosen.place('time_unit')}: {problem}")
     block = _long_as_wide(_with_unit_column(_block(path, chosen)))
@@ -317,23 +307,20 @@ def read_measured_csv(
     columns = _without_extremes(_unused([_column(h) for h in heads], {junction}, "reference junction"))
     columns = _as_declared(path, columns, base)
     columns = _as_chosen(path, columns, chosen, temperatures, flux)
-    if TEMPERATURE in kinds and not temperatures and not base.column:
+    if TEMPERATURE in kinds and not (*temperatures, *base.column):
         _require_one_reading(path, columns)
-    clock, zero_s, notes = _time(block, heads, columns, chosen)
-    others = [c for c in columns if c.name != clock.name]
-    others = _unused(others, {c.name for c in others if c.kind == TIME}, "another column is the time")
-    columns = _readings(block, [clock, *others], heads, chosen, kinds)
+    columns, zero_s, notes = _timed(block, heads, columns, chosen)
+    columns = _readings(block, columns, heads, chosen, kinds)
     if not base.column:
         _tell_of_one_name(block, columns, kinds, are_named=bool(temperatures))
     columns, rows, row_notes = _rows_kept(block, columns, kinds)
-    named = f"names in line {block.names_line}" if block.has_names else "no names"
     measured = MeasuredCsv(
         path,
         tuple(columns),
         rows,
-        f"{block.about}, {signs.words}, {named}, {len(rows)} rows",
+        f"{block.about}, {signs.words}, {_names_in_words(block)}, {len(rows)} rows",
         zero_s,
-        "" if "counted from" not in clock.reason else "midnight" if clock.reason.startswith("clock") else "1970",
+        _zero_of(columns[0]),
         _stated(chosen, block, signs, columns, heads),
         (*block.notes, *notes, *row_notes),
     )
@@ -345,6 +332,33 @@ def read_measured_csv(
     return measured
 
 
+def _timed(
+    block: Block, heads: list[_Head], columns: list[CsvColumn], chosen: LoggerLayout
+) -> tuple[list[CsvColumn], float | None, list[str]]:
+    """Columns of which the first one is the time and no other, the instant of its zero, and notes.
+
+    raises : InputError where no column is a time, or the one that is called so is not read
+    """
+    if chosen.period_s is None:
+        clock, zero_s, notes = _time(block, heads, columns, chosen)
+    else:
+        clock, zero_s, notes = _counted_time(block, chosen, chosen.period_s), None, []
+    others = [c for c in columns if c.name != clock.name]
+    others = _unused(others, {c.name for c in others if c.kind == TIME}, "another column is the time")
+    return [clock, *others], zero_s, notes
+
+
+def _names_in_words(block: Block) -> str:
+    return f"names in line {block.names_line}" if block.has_names else "no names"
+
+
+def _zero_of(clock: CsvColumn) -> str:
+    """Since when a time counts, `1970` or `midnight`; empty for a time in numbers."""
+    if "counted from" not in clock.reason:
+        return ""
+    return "midnight" if clock.reason.startswith("clock") else "1970"
+
+
 def _tell_of_one_name(block: Block, columns: Sequence[CsvColumn], kinds: Sequence[str], *, are_named: bool) -> None:
     """Warn of columns that have one name in the file, of which at least one is read.
 
@@ -352,25 +366,36 @@ def _tell_of_one_name(block: Block, columns: Sequence[CsvColumn], kinds: Sequenc
     raises    : InputError where two of them hold the same readings, and nobody names one
     """
     names, bare = _names_and_units(block)[0], _bare_names_and_units(block)[0]
-    read = {c.name: c for c in columns if c.kind in kinds and c.kind != TIME}
-    for name in dict.fromkeys(n for n in bare if bare.count(n) > 1):
-        places = [k for k, other in enumerate(bare) if other == name]
-        used = [read[names[k]] for k in places if names[k] in read]
-        if not used:
-            continue
-        where = f"{display_path(block.path)}: columns {listed([str(k + 1) for k in places])}"
-        if not are_named and (twins := next(((a, b) for a, b in combinations(used, 2) if _read_alike(a, b)), None)):
-            others = [c for c in read.values() if c.kind == TEMPERATURE and c is not twins[1]]
-            options = " ".join(
-                f'--temperature "{c.name}"' if " " in c.name else f"--temperature {c.name}" for c in others
-            )
-            rule = f"and {twins[0].name} and {twins[1].name} hold the same readings"
-            raise InputError(
-                f"{where} are named `{name}`, {rule}; a sensor would count twice: name those that are read, {options}"
-            )
-        given = listed([f"`{names[k]}`" for k in places])
-        count = f"read as {len(used)} sensors" if len(used) > 1 else f"`{used[0].name}` is read"
-        warnings.warn(f"{where} are named `{name}`: {given} here, {count}", stacklevel=3)
+    read = {c.name: c for c in columns if c.kind in kinds}
+    for name in Counter(bare) - Counter(set(bare)):
+        called = {k: n for k, (n, other) in enumerate(zip(names, bare, strict=True), 1) if other == name}
+        used = [read[n] for n in called.values() if n in read]
+        where = f"{display_path(block.path)}: columns {listed(list(map(str, called)))} are named `{name}`"
+        if not are_named:
+            _require_no_twins(where, used, list(read.values()))
+        _warn_of_one_name(where, list(called.values()), used)
+
+
+def _warn_of_one_name(where: str, names: Sequence[str], used: Sequence[CsvColumn]) -> None:
+    """Warn of columns of one name; names : by which they are told apart here;  used : those that are read, if any."""
+    if not used:
+        return
+    count = f"read as {len(used)} sensors" if len(used) > 1 else f"`{used[0].name}` is read"
+    warnings.warn(f"{where}: {listed([f'`{name}`' for name in names])} here, {count}", stacklevel=4)
+
+
+def _require_no_twins(where: str, used: Sequence[CsvColumn], read: Sequence[CsvColumn]) -> None:
+    """Refuse two columns of one name that hold the same readings.
+
+    where : the file and the columns of one name, in words;  read : all columns that are read
+    """
+    twins = next(((a, b) for a, b in combinations(used, 2) if _read_alike(a, b)), None)
+    if twins is None:
+        return
+    others = [c.name for c in read if c.kind == TEMPERATURE and c is not twins[1]]
+    options = " ".join(f'--temperature "{name}"' if " " in name else f"--temperature {name}" for name in others)
+    rule = f"and {twins[0].name} and {twins[1].name} hold the same readings"
+    raise InputError(f"{where}, {rule}; a sensor would count twice: name those that are read, {options}")
 
 
 def _read_alike(a: CsvColumn, b: CsvColumn) -> bool:
@@ -438,13 +463,22 @@ def _with_unit_column(block: Block) -> Block:
     stated = list(block.units)
     for k, stem in called.items():
         unit = _unit_in_cells(block, k)
-        partner = next((j for j, n in enumerate(block.names) if stem and j != k and n.strip().startswith(stem)), None)
-        if partner is not None or len(called) > 1:
-            reading = k - 1 if partner is None else partner
-            stated[reading] = stated[reading] or unit
-        elif converted(unit, "K"):
-            stated = [other or (unit if _lacks_unit(n) else "") for other, n in zip(stated, block.names, strict=True)]
+        readings = _called_alike(block.names, k, stem)
+        if not readings:
+            readings = [k - 1] if len(called) > 1 else _without_unit(block, unit)
+        for j in readings:
+            stated[j] = stated[j] or unit
     return replace(block, units=tuple(stated))
+
+
+def _called_alike(names: Sequence[str], k: int, stem: str) -> list[int]:
+    """The first column but k whose name begins with a stem; none for an empty stem."""
+    return [j for j, name in enumerate(names) if stem and j != k and name.strip().startswith(stem)][:1]
+
+
+def _without_unit(block: Block, unit: str) -> list[int]:
+    """Columns of readings whose names state no unit; none where the unit is not of temperatures."""
+    return [j for j, name in enumerate(block.names) if converted(unit, "K") and _lacks_unit(name)]
 
 
 def _unit_in_cells(block: Block, k: int) -> str:
@@ -500,25 +534,29 @@ def _columns_of_a_long_table(block: Block) -> tuple[list[int], int, int] | None:
     """Columns of the time, of the names of sensors, and of their readings; None where these are not one each."""
     times, labels, numbers = [], [], []
     for k, name in enumerate(block.names):
-        holds = _cells_hold(block.column(k)[:200])
-        if holds == "number" and re.fullmatch(CHANNEL, name):
-            holds = "text"
-        if holds == "clock" or re.search(HEADS[0][1], name):
-            times += [k] if holds != "text" else []
+        holds = _cells_hold(name, block.column(k)[:200])
+        if holds == "text":
+            labels += [k] if _may_name_sensors(block, k) else []
+        elif holds == "clock" or _is_called_time(name):
+            times.append(k)
         elif holds == "number" and not re.fullmatch(COUNTER, name):
             numbers.append(k)
-        if holds == "text" and _may_name_sensors(block, k):
-            labels.append(k)
-    called = [k for k in numbers if re.fullmatch(r"(?i)_?(values?|readings?)", _bare(block.names[k]))]
-    numbers = called or numbers  # beside a reading may stand the number of its table
+    numbers = _called_readings(block, numbers)
     return (times, labels[0], numbers[0]) if len(labels) == len(numbers) == 1 and times else None
 
 
-def _cells_hold(cells: Sequence[str]) -> str:
-    """What cells hold: `clock`, `number`, `text`, or nothing."""
+def _called_readings(block: Block, columns: list[int]) -> list[int]:
+    """Columns that are called so; all where none is: beside a reading may stand the number of its table."""
+    return [k for k in columns if re.fullmatch(r"(?i)_?(values?|readings?)", _bare(block.names[k]))] or columns
+
+
+def _cells_hold(name: str, cells: Sequence[str]) -> str:
+    """What cells of a column hold: `clock`, `number`, `text` (numbers of channels as well), or nothing."""
     if any(map(cell_text.is_clock, cells)):
         return "clock"
-    return "number" if any(map(cell_text.is_number, cells)) else "text" if any(cells) else ""
+    if any(map(cell_text.is_number, cells)):
+        return "text" if re.fullmatch(CHANNEL, name) else "number"
+    return "text" if any(cells) else ""
 
 
 def _may_name_sensors(block: Block, k: int) -> bool:
@@ -538,16 +576,16 @@ def _bare(name: str) -> str:
 def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     """Names, units and cells of the columns, by one layout of numbers for the file."""
     names, stated = _names_and_units(block)
-    if (layout := chosen.time_unit) in CLOCKS:
-        times = {n for n in names if re.search(HEADS[0][1], n)} | {chosen.time}
-        as_clock = [with_colons(c, layout) if n in times else c for n, c in zip(names, block.cells, strict=True)]
+    if (layout := chosen.time_unit) in clocks.CLOCKS:
+        times = {*filter(_is_called_time, names), chosen.time}
+        as_clock = [clocks.with_colons(c, layout) if n in times else c for n, c in zip(names, block.cells, strict=True)]
         block = replace(block, cells=tuple(as_clock))
-    clocks = {k for k in range(len(names)) if _mostly(block.column(k), cell_text.is_clock)}
-    signs = number_signs(block, sorted({*range(len(names))} - clocks), chosen.decimal)
+    of_clocks = {k for k in range(len(names)) if _mostly(block.column(k), cell_text.is_clock)}
+    signs = number_signs(block, sorted({*range(len(names))} - of_clocks), chosen.decimal)
     heads = []
     for k, (name, unit) in enumerate(zip(names, stated, strict=True)):
         cells = block.column(k)
-        may_be_clock = k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))
+        may_be_clock = k in of_clocks or (_is_called_time(name) and _mostly(cells, _is_all_digits))
         clock = _clock_of_column(block, k, names, unit, chosen) if may_be_clock else None
         head = _Head(name, unit, numbers_of(cells, signs), clock, cells)
         require_one_unit(block, k, head.numbers, unit, list(SI_UNITS.values()))
@@ -566,39 +604,47 @@ def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
 
 def _bare_names_and_units(block: Block) -> tuple[list[str], list[str]]:
     """Name of each column as the file has it, without its unit, and the unit of the row of units or of the name."""
-    names: list[str] = []
-    stated: list[str] = []
-    for k, (head, unit) in enumerate(zip(block.names, block.units, strict=True)):
-        name, unit_in_name = name_and_unit(head or f"column{k + 1}", list(SI_UNITS.values()))
-        in_brackets, is_time = re.search(r"[\[(<,/]", head), re.search(HEADS[0][1], name)
-        if unit_in_name and not in_brackets and not is_time and converted(unit_in_name, "s"):
-            name, unit_in_name = head, ""  # T_s is a surface, and no time
-        if not unit_in_name and (raw := next(filter(None, (re.fullmatch(p, name) for p in RAW)), None)):
-            name, unit_in_name = raw[1], raw[2]
-        if factor := re.fullmatch(FACTOR, name):
-            name, unit_in_name = factor[1], f"{unit_in_name} {factor[2]}".strip()
-        names.append(name)
-        stated.append(unit.strip("-") or unit_in_name)
-    return names, stated
+    split = [_split_name(head or f"column{k + 1}") for k, head in enumerate(block.names)]
+    stated = [unit.strip("-") or in_name for unit, (_, in_name) in zip(block.units, split, strict=True)]
+    return [name for name, _ in split], stated
 
 
-def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chosen: LoggerLayout) -> Clock | None:
+def _split_name(head: str) -> tuple[str, str]:
+    """The name of a column without its unit, and the unit that the name states; empty where it states none."""
+    name, unit = name_and_unit(head, list(SI_UNITS.values()))
+    may_be_index = not re.search(r"[\[(<,/]", head) and not _is_called_time(name)
+    if unit and may_be_index and converted(unit, "s"):
+        name, unit = head, ""  # T_s is a surface, and no time
+    if not unit and (raw := next(filter(None, (re.fullmatch(p, name) for p in RAW)), None)):
+        name, unit = raw[1], raw[2]
+    if factor := re.fullmatch(FACTOR, name):
+        name, unit = factor[1], f"{unit} {factor[2]}".strip()
+    return name, unit
+
+
+def _is_called_time(name: str) -> bool:
+    """Whether a column is one of times by its name."""
+    return re.search(HEADS[0][1], name) is not None
+
+
+def _clock_of_column(
+    block: Block, k: int, names: Sequence[str], unit: str, chosen: LoggerLayout
+) -> clocks.Clock | None:
     """Times of a column of clocks; None where another one is the time.
 
     raises : InputError where its layout is not clear, and it is the time
     """
     name, its_names = names[k], (names[k], block.names[k])
-    if chosen.period_s is not None:
-        return None
-    if chosen.time is not None and chosen.time not in its_names and not _is_partner(name):
+    is_another = chosen.time not in (None, *its_names)
+    if chosen.period_s is not None or (is_another and not _is_partner(name)):
         return None
     try:
         location = f"{display_path(block.path)}, column {name}"
         layout = _clock_word(unit) or chosen.time_unit
-        return clock_of(block.column(k), location, chosen.dates, layout, chosen.option("dates"))
+        return clocks.clock_of(block.column(k), location, chosen.dates, layout, chosen.option("dates"))
     except InputError:
-        is_called = re.search(HEADS[0][1], name) or not any(re.search(HEADS[0][1], n) for n in names)
-        if chosen.time in its_names or (chosen.time is None and is_called):
+        is_called = _is_called_time(name) or not any(map(_is_called_time, names))
+        if not is_another and (chosen.time is not None or is_called):
             raise
         return None  # another column is the time
 
@@ -614,7 +660,7 @@ def _is_all_digits(cell: str) -> bool:
 def _clock_word(unit: str) -> str | None:
     """The layout of a clock that a head states, as `hh:mm`."""
     text = unit.strip().lower()
-    return text if text in CLOCKS else None
+    return text if text in clocks.CLOCKS else None
 
 
 def _mostly(cells: Sequence[str], holds: object) -> bool:
@@ -632,29 +678,37 @@ def _joined_dates(heads: list[_Head]) -> list[_Head]:
 
 
 def _with_date(heads: list[_Head]) -> list[_Head]:
-    clocks = [(h, h.clock) for h in heads if h.clock is not None]
-    day = next(((h, c) for h, c in clocks if c.day_s is not None and not c.has_time), None)
-    hours = next(((h, c) for h, c in clocks if c.day_s is None), None)
-    if day is None or hours is None:
+    timed = [(h, h.clock) for h in heads if h.clock is not None]
+    days = [(h, c) for h, c in timed if c.day_s is not None and not c.has_time]
+    hours = [(h, c) for h, c in timed if c.day_s is None]
+    if not (days and hours):
         return heads
-    layout = f"{day[1].layout} in `{day[0].name}`, {hours[1].layout}"
-    clock = Clock(day[1].seconds + hours[1].seconds, day[1].day_s, True, layout)
-    joined = {id(hours[0]): clock, id(day[0]): None}
-    return [replace(h, clock=joined.get(id(h), h.clock)) for h in heads]
+    (of_day, day), (of_time, time) = days[0], hours[0]
+    clock = clocks.Clock(day.seconds + time.seconds, day.day_s, True, f"{day.layout} in `{of_day.name}`, {time.layout}")
+    return _with_clocks(heads, {of_time.name: clock, of_day.name: None})
+
+
+def _with_clocks(heads: list[_Head], others: Mapping[str, clocks.Clock | None]) -> list[_Head]:
+    """Columns of which some have other clocks; others : by the names of the columns, of which no two are alike."""
+    return [replace(h, clock=others.get(h.name, h.clock)) for h in heads]
 
 
 def _with_milliseconds(heads: list[_Head]) -> list[_Head]:
     called = [h for h in heads if h.name.lower() in ("ms", "msec", "millisecond", "milliseconds")]
-    timed, clock = next(((h, h.clock) for h in heads if h.clock is not None and h.clock.has_time), (None, None))
+    timed, clock = next(((h.name, h.clock) for h in heads if h.clock is not None and h.clock.has_time), ("", None))
     if not called or clock is None:
         return heads
     ms = called[0]
     part_s = ms.numbers.values / 1e3
-    is_whole = np.all(np.mod(clock.seconds, 1.0) == 0.0) and np.any(np.diff(clock.seconds) == 0.0)
-    if not (is_whole and np.all((part_s >= 0.0) & (part_s < 1.0))):
+    if not (_are_repeated_seconds(clock.seconds) and np.all((part_s >= 0.0) & (part_s < 1.0))):
         return heads
     finer = replace(clock, seconds=clock.seconds + part_s, layout=f"{clock.layout}, ms in `{ms.name}`")
-    return [replace(h, clock=finer) if h is timed else h for h in heads]
+    return _with_clocks(heads, {timed: finer})
+
+
+def _are_repeated_seconds(seconds: FloatArray) -> bool:
+    """Whether times are whole seconds of which some stand in several rows."""
+    return bool(np.all(np.mod(seconds, 1.0) == 0.0) and np.any(np.diff(seconds) == 0.0))
 
 
 def _column(head: _Head) -> CsvColumn:
@@ -675,18 +729,16 @@ def _kind_of(head: _Head) -> tuple[str, str, str]:
     """Kind of a column, its unit where the kind follows from it, and why."""
     name, unit = head.name, head.unit
     by_unit, by_name = _kind_by_unit(unit), _kind_by_name(name)
-    for pattern, meaning in ((UNCERTAIN, "an uncertainty"), (DIFFERENCE, "a difference")):
-        if re.search(pattern, name):
-            return UNUSED, "", f"{meaning}, by its name"
-    if re.fullmatch(FREE_STREAM, name):
-        return UNUSED, unit, "a temperature of the flow, by its name"
-    if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
-        return UNUSED, "", "a counter, by its name"
-    if re.fullmatch(CHANNEL, name) and by_unit == UNUSED and _are_channels(head.numbers.values):
-        return UNUSED, "", "numbers of channels, by its name"
+    if other := _other_quantity(head, by_unit):
+        return UNUSED, unit if other == OF_FLOW else "", f"{other}, by its name"
     may_be_a_minimum = (by_unit, by_name) == (TIME, TEMPERATURE) and unit.strip().lower() == "min"
     if by_unit != UNUSED and not may_be_a_minimum:
         return by_unit, unit, head.emf or f"unit {unit}"
+    return _kind_without_unit(name, unit, by_name)
+
+
+def _kind_without_unit(name: str, unit: str, by_name: str) -> tuple[str, str, str]:
+    """Kind of a column whose unit is none of a kind, no unit, and why."""
     if unit and (converted(unit, "Pa") or (by_name == FLUX and known_unit(unit))):
         return UNUSED, "", f"unit {unit}, of another quantity"
     if by_name == UNUSED:
@@ -694,6 +746,19 @@ def _kind_of(head: _Head) -> tuple[str, str, str]:
     if by_name != TIME and re.search(NO_READING, name):
         return UNUSED, "", "accompanies readings, by its name"
     return by_name, "", f"name `{name}`"
+
+
+def _other_quantity(head: _Head, by_unit: str) -> str:
+    """What a column holds by its name where that is neither a time nor a reading; empty where it may be one."""
+    for pattern, meaning in ((UNCERTAIN, "an uncertainty"), (DIFFERENCE, "a difference")):
+        if re.search(pattern, head.name):
+            return meaning
+    if re.fullmatch(FREE_STREAM, head.name):
+        return OF_FLOW
+    if re.fullmatch(COUNTER, head.name) and by_unit not in (TEMPERATURE, FLUX):
+        return "a counter"
+    is_called = re.fullmatch(CHANNEL, head.name) and by_unit == UNUSED
+    return "numbers of channels" if is_called and _are_channels(head.numbers.values) else ""
 
 
 def _channel(column: CsvColumn) -> tuple[str, bool]:
@@ -752,8 +817,8 @@ def _reason_of_few_numbers(head: _Head) -> str:
     count = int(np.count_nonzero(np.isfinite(head.numbers.values)))
     full = len(head.cells) - head.cells.count("")
     named = {kind for kind, pattern in HEADS if re.search(pattern, head.name)}
-    is_burnt_out = count and named and all(LOST_WORD.fullmatch(text) for text in head.numbers.texts)
-    if (count and 2 * count >= full) or TIME in named or is_burnt_out or (named and head.numbers.torn >= 0):
+    is_burnt_out = count and all(map(LOST_WORD.fullmatch, head.numbers.texts))
+    if 2 * count >= max(full, 1) or TIME in named or (named and (is_burnt_out or head.numbers.torn >= 0)):
         return ""
     return FEW_NUMBERS if full else NO_CELLS
 
@@ -877,13 +942,6 @@ def _time(
 
     raises : InputError where no column is a time, or the one that is called so is not read
     """
-    if chosen.period_s is not None:
-        values = np.round(chosen.period_s * np.arange(len(block.lines)), 9)
-        return (
-            CsvColumn("time", TIME, "s", values, f"{chosen.option('period_s')} {chosen.period_s:g} s, from row 1"),
-            None,
-            [],
-        )
     by_name = {h.name: h for h in heads}
     called = [c for c in columns if c.kind == TIME]
     readable = [c for c in called if _is_read(by_name[c.name])]
@@ -891,16 +949,24 @@ def _time(
         column = _best_time(readable, by_name)
         read = _number_time if by_name[column.name].clock is None else _clock_time
         return read(block, by_name[column.name], column, chosen)
+    if called:
+        raise _no_time(block, by_name[called[0].name])
     first = columns[0]
-    if not called and not block.has_names and _may_be_time(first):
-        assumed = replace(first, kind=TIME, reason="no column is called time; this one increases")
-        return _number_time(block, by_name[first.name], assumed, chosen)
-    raise _no_time(block, by_name[called[0].name] if called else None)
+    if not _may_be_time(block, first):
+        raise _no_time(block, None)
+    assumed = replace(first, kind=TIME, reason="no column is called time; this one increases")
+    return _number_time(block, by_name[first.name], assumed, chosen)
 
 
-def _may_be_time(column: CsvColumn) -> bool:
-    """Whether a column of which nothing is known increases from row to row."""
-    says_nothing = column.kind == UNUSED and column.reason.startswith(SAYS_NOTHING)
+def _counted_time(block: Block, chosen: LoggerLayout, period_s: float) -> CsvColumn:
+    """The time of rows that are a period apart."""
+    reason = f"{chosen.option('period_s')} {period_s:g} s, from row 1"
+    return CsvColumn("time", TIME, "s", np.round(period_s * np.arange(len(block.lines)), 9), reason)
+
+
+def _may_be_time(block: Block, column: CsvColumn) -> bool:
+    """Whether a column of which nothing is known, and no name, increases from row to row."""
+    says_nothing = not block.has_names and column.kind == UNUSED and column.reason.startswith(SAYS_NOTHING)
     return says_nothing and bool(np.all(np.diff(column.values) > 0.0))
 
 
@@ -921,8 +987,8 @@ def _no_time(block: Block, called: _Head | None) -> InputError:
 
 def _best_time(readable: Sequence[CsvColumn], by_name: Mapping[str, _Head]) -> CsvColumn:
     """Of columns of times the first that is more than a day and not the same in all rows, as far as there is one."""
-    clocks = {c.name: by_name[c.name].clock for c in readable}
-    with_time = [c for c in readable if (clock := clocks[c.name]) is None or clock.has_time] or readable
+    clock_of_column = {c.name: by_name[c.name].clock for c in readable}
+    with_time = [c for c in readable if (clock := clock_of_column[c.name]) is None or clock.has_time] or readable
     return next((c for c in with_time if _moves(by_name[c.name])), with_time[0])
 
 
@@ -949,11 +1015,11 @@ def _clock_time(
     seconds, notes = clock.seconds, []
     _require_times(block, head, seconds)
     if clock.day_s is None:
-        seconds, note = over_midnight(clock)
+        seconds, note = clocks.over_midnight(clock)
         if note:
             notes.append(f"`{head.name}` {note}")
     first = float(seconds[np.flatnonzero(np.isfinite(seconds))[0]])
-    zero = first if clock.day_s is None else None if ANY_ORDER in clock.layout else clock.day_s + first
+    zero = first if clock.day_s is None else None if clocks.ANY_ORDER in clock.layout else clock.day_s + first
     t = np.round(seconds - first, 6)
     _warn_of_an_hour(block, head.name, t)
     elapsed = replace(column, values=t, unit="s", reason=f"{clock.layout}, counted from the first")
@@ -1022,7 +1088,7 @@ def _unit_of_time(
     """
     unit = chosen.time_unit
     location = f"{display_path(block.path)}, column {head.name}"
-    if unit in CLOCKS:
+    if unit in clocks.CLOCKS:
         cell = next(c for c in head.cells if c)
         place = chosen.place("time_unit")
         raise InputError(f"{place}: `{cell}` in {location} is no such clock; give s, ms, min or h")
@@ -1052,33 +1118,40 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
     """Unit of a time that states none, what is assumed by it, and why."""
     values = head.numbers.values[np.isfinite(head.numbers.values)]
     for unit, size in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
-        if UNIX_S[0] * size <= values.min() and values.max() <= UNIX_S[1] * size:
+        if _are_within(values, UNIX_S[0] * size, UNIX_S[1] * size):
             return unit, "", f"{column.reason}; {unit} since 1970 by the size"
-    if LABVIEW_S[0] <= values.min() and values.max() <= LABVIEW_S[1]:
+    if _are_within(values, *LABVIEW_S):
         return "s", "", f"{column.reason}; s since 1904 by the size"
     step = float(np.median(np.diff(values))) if len(values) > 1 else 1.0
-    if len(values) > 1 and (clock := possible_clock(values)):
+    if len(values) > 1 and (clock := clocks.possible_clock(values)):
         raise InputError(
             f"{display_path(block.path)}, column {head.name}: `{head.cells[0]}` may be a time of day or seconds; state "
             f"--time-unit {clock} or --time-unit s"
         )
     if _are_days(values) and step < 0.05:
         return "day", "", f"{column.reason}; days of a spreadsheet by the size"
-    if not SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
-        likely = (
-            "us" if step > 5e5 else "ms" if step > LONGEST_STEP_S else "day" if values.min() >= DAY_NUMBERS[0] else "s"
-        )
+    if not SHORTEST_STEP_S <= step <= clocks.LONGEST_STEP_S:
         raise InputError(
             f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are hardly s; "
-            f"state it, --time-unit {likely}"
+            f"state it, --time-unit {_likely_unit(values, step)}"
         )
     return "s", "no unit is stated: s assumed (--time-unit)", f"{column.reason}; no unit: s assumed"
 
 
+def _likely_unit(values: FloatArray, step: float) -> str:
+    """Unit of times whose step is hardly one in seconds."""
+    if step > clocks.LONGEST_STEP_S:
+        return "us" if step > 5e5 else "ms"
+    return "day" if values.min() >= DAY_NUMBERS[0] else "s"
+
+
+def _are_within(values: FloatArray, low: float, high: float) -> bool:
+    return bool(low <= values.min() and values.max() <= high)
+
+
 def _are_days(values: FloatArray) -> bool:
     """Whether numbers may be days of a spreadsheet of this century, with their fractions."""
-    is_within = DAY_NUMBERS[0] <= values.min() and values.max() <= DAY_NUMBERS[1]
-    return bool(is_within and np.any(values % 1.0))
+    return _are_within(values, *DAY_NUMBERS) and bool(np.any(values % 1.0))
 
 
 def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
@@ -1138,11 +1211,20 @@ def _with_distinct_times(measured: MeasuredCsv, chosen: LoggerLayout) -> Measure
             "its time; state --repeated spread (even until the next time) or --repeated first (keep the first), or "
             f"give --period{and_more_rows(repeats.size)}"
         )
-    begins = np.flatnonzero(np.concatenate(([True], steps > 0.0)))
     option = f"{chosen.option('repeated')} {chosen.repeated}"
     note = f"{len(repeats)} rows have the time of the row above ({option})"
-    measured = replace(measured, notes=(*measured.notes, note))
-    if chosen.repeated == "first":
+    return _without_repeats(replace(measured, notes=(*measured.notes, note)), chosen.repeated, option)
+
+
+def _without_repeats(measured: MeasuredCsv, repeated: str, option: str) -> MeasuredCsv:
+    """A file with the first row of each time alone, or with its rows spread even until the next time.
+
+    raises : InputError where all rows have one time
+    """
+    clock = measured.of_kind(TIME)[0]
+    t = clock.si
+    begins = np.flatnonzero(np.concatenate(([True], np.diff(t) > 0.0)))
+    if repeated == "first":
         columns = tuple(replace(c, values=c.values[begins]) for c in measured.columns)
         return replace(measured, columns=columns, rows=tuple(measured.rows[i] for i in begins))
     if len(begins) < 2 or t[begins[-1]] <= t[begins[-2]]:
@@ -1260,9 +1342,9 @@ def _guessed(block: Block, columns: list[CsvColumn], kinds: Sequence[str]) -> li
     """
     open_ = [c for c in columns if c.kind in kinds and not c.unit]
     starts = {c.name: _start(c) for c in open_ if c.kind == TEMPERATURE}
-    unit = _unit_of_starts([x for x in starts.values() if np.isfinite(x)])
+    unit = _unit_of_starts(list(filter(math.isfinite, starts.values())))
     if starts and not unit:
-        odd = next((n for n, x in starts.items() if not ROOM_C[0] <= x <= ROOM_C[1]), next(iter(starts)))
+        odd = max(starts, key=lambda name: not ROOM_C[0] <= starts[name] <= ROOM_C[1])  # the first one, if any
         raise InputError(
             f"{display_path(block.path)}, column {odd}: begins at {starts[odd]:g}, in no unit that is known; state it, "
             "--temperature-unit degC, or name the columns that are read, --temperature COLUMN"
@@ -1416,19 +1498,25 @@ def _rows_kept(
     block: Block, columns: list[CsvColumn], kinds: Sequence[str]
 ) -> tuple[list[CsvColumn], tuple[int, ...], list[str]]:
     """Rows in which a column that is used has a reading; others say nothing, such as those that mark an event."""
-    used = [c for c in columns if c.kind in kinds]
-    rows = np.flatnonzero(np.any([np.isfinite(c.values) for c in used], axis=0)) if used else np.zeros(0, dtype=int)
-    if not len(rows):
-        return columns, block.lines, []
-    # a lost sample of all sensors between others is kept as such
-    ends = (*range(rows[0]), *range(rows[-1] + 1, len(used[0].values)))
-    cells = [block.cells[k] for k in range(len(block.names)) if _is_used(block, k, used)]
-    out = [i for i in ends if not any(of_column[i] for of_column in cells)]
+    out = _empty_ends(block, [c for c in columns if c.kind in kinds])
     if not out:
         return columns, block.lines, []
     stay = np.setdiff1d(np.arange(len(block.lines)), out)
     note = f"{len(out)} rows without a reading at the ends left out"
     return [replace(c, values=c.values[stay]) for c in columns], tuple(block.lines[i] for i in stay), [note]
+
+
+def _empty_ends(block: Block, used: Sequence[CsvColumn]) -> list[int]:
+    """Rows before the first reading and after the last one that are empty in all columns that are used.
+
+    A lost sample of all sensors between others is kept as such.
+    """
+    rows = np.flatnonzero(np.any([np.isfinite(c.values) for c in used], axis=0)) if used else np.zeros(0)
+    if not len(rows):
+        return []
+    ends = (*range(rows[0]), *range(rows[-1] + 1, len(used[0].values)))
+    cells = [block.cells[k] for k in range(len(block.names)) if _is_used(block, k, used)]
+    return [i for i in ends if not any(of_column[i] for of_column in cells)]
 
 
 def _is_used(block: Block, k: int, used: Sequence[CsvColumn]) -> bool:
@@ -1439,13 +1527,14 @@ def _is_used(block: Block, k: int, used: Sequence[CsvColumn]) -> bool:
 def _stated(
     chosen: LoggerLayout, block: Block, signs: Signs, columns: Sequence[CsvColumn], heads: Sequence[_Head]
 ) -> LoggerLayout:
-    """The layout as it was read: units where the file states none itself, which each file may state again."""
-    clock = next(c for c in columns if c.kind == TIME)
-    unit_of = {h.name: h.unit for h in heads}
-    has_own = {c.name for c in columns if c.kind == _kind_by_unit(unit_of.get(c.name, "")) != UNUSED}
-    readings = [c for c in columns if c.kind in (TEMPERATURE, FLUX) and c.unit]
-    used = [_layout_column(c, c.name in has_own) for c in readings]
-    states_unit = "counted from" in clock.reason or clock.name in has_own
+    """The layout as it was read: units where the file states none itself, which each file may state again.
+
+    columns : the time first
+    """
+    clock = columns[0]
+    kind_of_unit = {h.name: _kind_by_unit(h.unit) for h in heads}
+    used = _layout_columns(columns, kind_of_unit)
+    states_unit = "counted from" in clock.reason or kind_of_unit.get(clock.name) == TIME
     return chosen.model_copy(
         update={
             "separator": block.separator or None,
@@ -1460,6 +1549,12 @@ def _stated(
     )
 
 
+def _layout_columns(columns: Sequence[CsvColumn], kind_of_unit: Mapping[str, str]) -> list[LayoutColumn]:
+    """What a layout declares of readings; kind_of_unit : by the name of a column, of the unit that the file states."""
+    readings = [c for c in columns if c.kind in (TEMPERATURE, FLUX) and c.unit]
+    return [_layout_column(c, c.kind == kind_of_unit[c.name]) for c in readings]
+
+
 def _layout_column(column: CsvColumn, states_unit: bool) -> LayoutColumn:
     kind: Literal["temperature", "heat flux"] = "temperature" if column.kind == TEMPERATURE else "heat flux"
     declared = column.declared or LayoutColumn(name=column.name, kind=kind)
@@ -1468,7 +1563,7 @@ def _layout_column(column: CsvColumn, states_unit: bool) -> LayoutColumn:
 
 def _order_of_dates(clock: CsvColumn) -> str | None:
     """Order of the dates of a clock; None where there are none, or the year stands first, which says it itself."""
-    order = next((o for o, order_text in ORDERS.items() if f"dates {order_text}" in clock.reason), None)
+    order = next((o for o, order_text in clocks.ORDERS.items() if f"dates {order_text}" in clock.reason), None)
     return None if order == "year-first" else order
 
 

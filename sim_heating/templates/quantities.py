@@ -1,8 +1,7 @@
 """Numbers with units as people type them, `0.4 mm`, `2 kW/m2`, `21 degC`, in SI units."""
 
-from __future__ import annotations
-
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 from sim_heating.base.conditions import DESCRIPTIONS
@@ -39,17 +38,21 @@ def quantity(text: str, unit: str, option: str, example: str, key: str = "") -> 
         raise InputError(f"{option}: `{match[2]}` is not a unit that converts to {unit}; write {example}")
     # rounded to what a person types: 21 degC is 294.15 K, not 294.15000000000003 K
     si = float(f"{scale.factor * value + (0.0 if is_difference else scale.offset):.12g}")
-    limits = range_of(key) if key else None
+    limits = range_of(key)
     if limits is not None and (problem := limits.problem(si)) is not None:
         raise InputError(f"{option}: `{text.strip()}`: {problem}")
     return si
 
 
-def stated_field(column: str, text: str) -> ConditionField:
-    """What an option `--field COLUMN=TEXT` states: a field, `NAME:UNIT`, or a constant with its unit, `0deg`.
+def stated_fields(texts: Mapping[str, str]) -> dict[str, ConditionField]:
+    """What options `--field COLUMN=TEXT` state by column: a field, `NAME:UNIT`, or a constant with its unit, `0deg`.
 
     raises : InputError, one line, for a column that is none and a constant of another quantity
     """
+    return {column: _stated_field(column, text) for column, text in texts.items()}
+
+
+def _stated_field(column: str, text: str) -> ConditionField:
     if column not in DESCRIPTIONS:
         raise InputError(f"--field {column}: unknown column of flight conditions{suggestion(column, DESCRIPTIONS)}")
     name, colon, unit = text.rpartition(":")

@@ -4,13 +4,11 @@ The record is checked as a whole before it is written, so that it validates and 
 `close-loop` as it is.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,18 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from sim_heating.base import files
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import STATE
 from sim_heating.base.errors import InputError, reworded
-from sim_heating.base.files import (
-    COLDEST_K,
-    celsius_rule,
-    display_path,
-    output_directory,
-    suggestion,
-    write_csv,
-    write_text_atomic,
-)
 from sim_heating.base.files.text import and_more_rows
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
@@ -49,7 +39,7 @@ from sim_heating.inputs.record import (
 )
 from sim_heating.templates.materials import LayerInput, describe_source
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, CsvColumn, MeasuredCsv, read_measured_csv
-from sim_heating.templates.quantities import NUMBER, quantity, require_known, stated_field
+from sim_heating.templates.quantities import NUMBER, quantity, require_known, stated_fields
 from sim_heating.templates.render import render_toml
 from sim_heating.thermal.stack import PressureTable, Sensor
 
@@ -94,7 +84,7 @@ class Source:
         if match[2] in self.options:
             return f"{self.options[match[2]]}: {match[3]}"
         row = "" if match[1] is None else f", row {self.rows[int(match[1]) - 2]}"
-        return f"{display_path(self.path)}{row}, column {self.names.get(match[2], match[2])}: {match[3]}"
+        return f"{files.display_path(self.path)}{row}, column {self.names.get(match[2], match[2])}: {match[3]}"
 
 
 @dataclass(frozen=True)
@@ -172,7 +162,8 @@ def sensor_columns(measured: MeasuredCsv) -> list[CsvColumn]:
     if not temperatures:
         names = ", ".join(c.name for c in measured.columns if c.kind != TIME)
         raise InputError(
-            f"{display_path(measured.path)}: no column is a temperature; name one, --temperature COLUMN, of {names}"
+            f"{files.display_path(measured.path)}: no column is a temperature; name one, --temperature COLUMN, of "
+            f"{names}"
         )
     return temperatures
 
@@ -229,16 +220,19 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
         if lit_s is not None:
             raise InputError("--lit: is for a constant --lamp; a column or a file states when the lamp was lit")
         return _recorded_flux(measured, lamp, columns.get(lamp), absorptance)
-    hint = suggestion(lamp, columns, otherwise="") if re.match(r"[A-Za-z]", lamp) else ""
-    if hint or re.match(r"[A-Za-z./]", lamp):
+    return _constant_flux(measured, _stated_flux_W_m2(measured, lamp), lit_s, absorptance)
+
+
+def _stated_flux_W_m2(measured: MeasuredCsv, lamp: str) -> float:
+    if re.match(r"[A-Za-z./]", lamp):
+        hint = files.suggestion(lamp, [c.name for c in measured.columns], otherwise="") if lamp[0].isalpha() else ""
         listed = ", ".join(c.name for c in measured.columns if c.kind != TIME)
         raise InputError(
             f"--lamp {lamp}: is neither a flux such as {FLUX_EXAMPLE}, nor a column ({listed}), nor a file{hint}"
         )
     if re.fullmatch(rf"\s*{NUMBER}\s*", lamp):
         raise InputError(f"--lamp {lamp}: has no unit; write {FLUX_EXAMPLE}")
-    lamp_W_m2 = quantity(lamp, "W/m2", "--lamp", f"--lamp {FLUX_EXAMPLE}")
-    return _constant_flux(measured, lamp_W_m2, lit_s, absorptance)
+    return quantity(lamp, "W/m2", "--lamp", f"--lamp {FLUX_EXAMPLE}")
 
 
 def _recorded_flux(measured: MeasuredCsv, lamp: str, flux_column: CsvColumn | None, absorptance: float | None) -> Heat:
@@ -255,7 +249,7 @@ def _recorded_flux(measured: MeasuredCsv, lamp: str, flux_column: CsvColumn | No
         warnings.warn(f"--lamp {lamp}, column {flux_column.name}: {flux_column.guess}", stacklevel=3)
     empty = np.flatnonzero(np.isnan(flux))
     if empty.size:
-        cell = f"{display_path(file.path)}, row {file.rows[empty[0]]}, column {flux_column.name}"
+        cell = f"{files.display_path(file.path)}, row {file.rows[empty[0]]}, column {flux_column.name}"
         raise InputError(f"{cell}: holds no number; fill it{and_more_rows(empty.size)}")
     absorbed = "absorbed" if absorptance is None else f"incident, {absorptance:g} of it absorbed"
     note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {absorbed}"
@@ -310,8 +304,8 @@ def _later_s(file: MeasuredCsv, measured: MeasuredCsv) -> float:
     """
     if file.zero != measured.zero or (file.zero and (file.zero_s is None or measured.zero_s is None)):
         raise InputError(
-            f"--lamp {display_path(file.path)}: its times and those of {display_path(measured.path)} are of different "
-            "clocks; write both as dates with times, or both in seconds of one clock"
+            f"--lamp {files.display_path(file.path)}: its times and those of {files.display_path(measured.path)} are "
+            "of different clocks; write both as dates with times, or both in seconds of one clock"
         )
     return 0.0 if file.zero_s is None or measured.zero_s is None else file.zero_s - measured.zero_s
 
@@ -384,38 +378,47 @@ def flown_heat(
     raises             : InputError, one line, with everything that is not there and does not follow from what is
     """
     required = ["time_s", "altitude_m", "velocity_m_s", "alpha_deg", "mach", "log10_re", "rho_kg_m3", "T_inf_K"]
-    required += ["p_inf_Pa", *(() if has_pressure else ("p_surface_Pa",))]
-    required += REFERENCE_COLUMNS if reference is None else ()
+    required.append("p_inf_Pa")
+    if not has_pressure:
+        required.append("p_surface_Pa")
+    if reference is None:
+        required += REFERENCE_COLUMNS
     flown = read_flight(
         path,
         required,
         statement=OPTION,
-        fields={column: stated_field(column, text) for column, text in (fields or {}).items()},
+        fields=stated_fields(fields or {}),
         length_m=reference_length_m,
         sounding=None if atmosphere is None else read_sounding(atmosphere),
         pressure=pressure_of_reference(reference, local_angle_deg),
     )
     for line in flown.assumed:
-        warnings.warn(f"{display_path(path)}: {line}", stacklevel=2)
+        warnings.warn(f"{files.display_path(path)}: {line}", stacklevel=2)
     columns = {name: values for name, values in flown.table.columns.items() if name != "q_Pa"}
-    zero = ("beta_deg", "elevon_deg", "bodyflap_deg")
-    absent = [n for n in zero if n not in columns]
-    constants = tuple((n, 0.0, "not in the file of the flight") for n in absent)
-    notes = list(flown.notes)
-    if absent:
-        notes.append(f"{', '.join(absent)} 0, as the file has none (--field {absent[0]}=2deg)")
-    uncertainty = None
-    if flown.has_model_density:
-        confidence = lowered_confidence("B")
-        density_sigma = BY_CONFIDENCE[confidence].density_relative
-        uncertainty = BY_CONFIDENCE["B"].model_copy(update={"density_relative": density_sigma})
-        notes.append(
-            f"confidence of the conditions {confidence}: the density is of the standard atmosphere, "
-            f"+-{density_sigma:.0%} (--atmosphere FILE for a sounding of the day)"
-        )
-    note = f"flight of {display_path(path)}"
-    source = Source(path, [int(i) for i in flown.table.lines], flown.fields)
-    return Heat(columns, constants, reference or "columns", note, tuple(notes), uncertainty, source)
+    constants, of_constants = _angles_of_zero(columns)
+    uncertainty, of_density = _of_model_density() if flown.has_model_density else (None, [])
+    note = f"flight of {files.display_path(path)}"
+    source = Source(path, list(map(int, flown.table.lines)), flown.fields)
+    notes = (*flown.notes, *of_constants, *of_density)
+    return Heat(columns, constants, reference or "columns", note, notes, uncertainty, source)
+
+
+def _angles_of_zero(columns: Collection[str]) -> tuple[tuple[tuple[str, float, str], ...], list[str]]:
+    """Angles that a flight does not record, as constants, and a note of them."""
+    absent = [n for n in ("beta_deg", "elevon_deg", "bodyflap_deg") if n not in columns]
+    note = [f"{', '.join(absent)} 0, as the file has none (--field {absent[0]}=2deg)"] if absent else []
+    return tuple((n, 0.0, "not in the file of the flight") for n in absent), note
+
+
+def _of_model_density() -> tuple[FlightUncertainty, list[str]]:
+    """Uncertainty of conditions whose density is of the standard atmosphere, and a note."""
+    confidence = lowered_confidence("B")
+    density_sigma = BY_CONFIDENCE[confidence].density_relative
+    note = (
+        f"confidence of the conditions {confidence}: the density is of the standard atmosphere, "
+        f"+-{density_sigma:.0%} (--atmosphere FILE for a sounding of the day)"
+    )
+    return BY_CONFIDENCE["B"].model_copy(update={"density_relative": density_sigma}), [note]
 
 
 # The record ----------------------------------------------------------------------------------------------------------
@@ -495,14 +498,14 @@ def write_new_record(
     inputs = list(filter(None, (measured.path, article.ratio_table)))
     sources = {"thermocouples.csv": source_of_readings(measured), "conditions.csv": article.heat.source}
     with (
-        output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
+        files.output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
         said_of_options(out),
         said_of_sources(sources, out),
         shown_at(folder, out),
     ):
-        write_text_atomic(folder / DECLARATION, text)
-        write_csv(folder / "conditions.csv", article.heat.columns)
-        write_csv(folder / "thermocouples.csv", readings)
+        files.write_text_atomic(folder / DECLARATION, text)
+        files.write_csv(folder / "conditions.csv", article.heat.columns)
+        files.write_csv(folder / "thermocouples.csv", readings)
         if article.ratio_table is not None:
             write_ratio_table(folder / RATIO_FILE, read_ratio_table(article.ratio_table))
         record = load_record(folder)
@@ -552,7 +555,7 @@ KEYS = {
 
 def said_of_options(out: str | os.PathLike[str]) -> AbstractContextManager[None]:
     """Errors about a declaration that was made from options, which is not there afterwards, with their names."""
-    return reworded(partial(_of_option, declaration=display_path(Path(out) / DECLARATION)))
+    return reworded(partial(_of_option, declaration=files.display_path(Path(out) / DECLARATION)))
 
 
 def _of_option(line: str, declaration: str) -> str:
@@ -580,7 +583,7 @@ def said_of_sources(sources: Mapping[str, Source | None], out: str | os.PathLike
     def shown(line: str) -> str:
         for name, source in sources.items():
             if source is not None:
-                line = source.shown(line, display_path(Path(out) / name))
+                line = source.shown(line, files.display_path(Path(out) / name))
         return line
 
     with _told_as(shown):
@@ -609,7 +612,7 @@ def _column_name(name: str) -> str:
 @contextmanager
 def shown_at(folder: Path, out: str | os.PathLike[str]) -> Iterator[None]:
     """Errors and warnings about files of a directory in the making, with the paths that they will have."""
-    temporary, shown = display_path(folder), display_path(Path(out))
+    temporary, shown = files.display_path(folder), files.display_path(Path(out))
     with _told_as(lambda line: line.replace(temporary, shown)):
         yield
 
@@ -643,8 +646,8 @@ def _initial(article: RecordInput, times: FloatArray, sensors: Sequence[CsvColum
     times : (reading,) [s]
     """
     if article.initial_K is not None:
-        if article.initial_K < COLDEST_K:
-            raise InputError(f"--initial {article.initial_K:g}K: {celsius_rule()}, such as --initial 21degC")
+        if article.initial_K < files.COLDEST_K:
+            raise InputError(f"--initial {article.initial_K:g}K: {files.celsius_rule()}, such as --initial 21degC")
         return article.initial_K, [f"wall at {article.initial_K:g} K at the start (--initial)"]
     cold = times <= _heated_from_s(article.heat)
     first, risen = [], []
@@ -724,30 +727,7 @@ def like_record(
     """
     model = load_record(like)
     declared, columns = model.declared, sensor_columns(measured)
-    by_name = {key: s for s in model.sensors for key in (s.column, s.name, s.column.removesuffix("_K"))}
-    if len(columns) == 1 and len(model.sensors) == 1:
-        by_name.setdefault(columns[0].name, model.sensors[0])
-    layers = [
-        LayerInput(layer.material, declared.materials[layer.material], layer.thickness_m)
-        for layer in declared.stack.layer
-    ]
-    stated = depths_of(measured, depths, layers)
-    absent = [c.name for c in columns if c.name not in stated and c.name not in by_name]
-    if absent:
-        raise InputError(
-            f"--depth: is missing for {', '.join(absent)}; {model.name} has sensors "
-            f"{', '.join(s.column for s in model.sensors)}; write --depth {absent[0]}=0.4mm"
-        )
-    sensors, notes = [], []
-    for name in (c.name for c in columns):
-        other = by_name.get(name)
-        depth = stated[name] if name in stated else by_name[name].depth_m
-        sensors.append(Sensor(name=name, column=_column_name(name), depth_m=depth, noise_sigma_K=noise_K))
-        notes.append(f"{name} at {depth * 1e3:g} mm" + ("" if name in stated else f", as in {model.name}"))
-        if noise_K is None:
-            noise = None if other is None else other.noise_sigma_K
-            of_other = "" if noise is None else f"; the {noise:g} K of {model.name} are of its recorder"
-            notes.append(f"noise of {name} estimated (--noise 0.5K states it){of_other}")
+    sensors, notes = _sensors_like(model, measured, [c.name for c in columns], depths, noise_K)
     thermocouples = declared.thermocouples.model_copy(update={"sensor": sensors})
     update = {
         "thermocouples": thermocouples,
@@ -766,4 +746,47 @@ def like_record(
         )
     comment = f"Temperatures of {measured.path.name}, stack and flight of {model.name}; made by sim-heating new record."
     write_record(record, out, comment=comment)
-    return record, [*measured.notes, *notes, f"stack, flight and heating of {display_path(Path(like))}"]
+    return record, [*measured.notes, *notes, f"stack, flight and heating of {files.display_path(Path(like))}"]
+
+
+def _sensors_like(
+    model: Record, measured: MeasuredCsv, names: Sequence[str], depths: Mapping[str, str], noise_K: float | None
+) -> tuple[list[Sensor], list[str]]:
+    """Sensors at the depths that are stated, else at those of another record's sensors, and notes of them.
+
+    raises : InputError where a depth is missing
+    """
+    declared = model.declared
+    others = _sensors_by_column(model, names)
+    layers = [
+        LayerInput(layer.material, declared.materials[layer.material], layer.thickness_m)
+        for layer in declared.stack.layer
+    ]
+    stated = depths_of(measured, depths, layers)
+    if absent := [name for name in names if name not in {*stated, *others}]:
+        raise InputError(
+            f"--depth: is missing for {', '.join(absent)}; {model.name} has sensors "
+            f"{', '.join(s.column for s in model.sensors)}; write --depth {absent[0]}=0.4mm"
+        )
+    sensors, notes = [], []
+    for name in names:
+        depth = stated[name] if name in stated else others[name].depth_m
+        sensors.append(Sensor(name=name, column=_column_name(name), depth_m=depth, noise_sigma_K=noise_K))
+        notes.append(f"{name} at {depth * 1e3:g} mm" + ("" if name in stated else f", as in {model.name}"))
+        if noise_K is None:
+            notes.append(_noise_note(name, others.get(name), model))
+    return sensors, notes
+
+
+def _noise_note(name: str, other: Sensor | None, model: Record) -> str:
+    noise = None if other is None else other.noise_sigma_K
+    of_other = "" if noise is None else f"; the {noise:g} K of {model.name} are of its recorder"
+    return f"noise of {name} estimated (--noise 0.5K states it){of_other}"
+
+
+def _sensors_by_column(model: Record, names: Sequence[str]) -> dict[str, Sensor]:
+    """Sensors of a record by their names and columns, and a single one by the name of a single column as well."""
+    sensors = {key: s for s in model.sensors for key in (s.column, s.name, s.column.removesuffix("_K"))}
+    if len(names) == len(model.sensors) == 1:
+        sensors.setdefault(names[0], model.sensors[0])
+    return sensors

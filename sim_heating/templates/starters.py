@@ -1,7 +1,5 @@
 """Scenarios, studies and user-defined effects to go on from, each checked before it is written."""
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -29,7 +27,7 @@ from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.run import fly_scenario, run
 from sim_heating.simulation.scenario_check import check_scenario
-from sim_heating.templates.quantities import stated_field
+from sim_heating.templates.quantities import stated_fields
 from sim_heating.templates.render import render, render_toml
 from sim_heating.templates.vehicle import shown_place
 from sim_heating.trajectory.aero import load_aero
@@ -156,7 +154,7 @@ def _recorded(
 
     raises : InputError, one line, with everything that the file lacks
     """
-    stated = {column: stated_field(column, text) for column, text in fields.items()}
+    stated = stated_fields(fields)
     sounding = None if atmosphere is None else read_sounding(atmosphere)
     flown = read_recording(
         path, vehicle.reference_length_m, vehicle.surfaces, stated, statement=OPTION, sounding=sounding

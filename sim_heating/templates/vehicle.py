@@ -1,7 +1,5 @@
 """A vehicle directory from length, mass, nose radius and the layers of its control points, that flies as it is."""
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -13,17 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from sim_heating.base import files
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import (
-    csv_text,
-    display_path,
-    output_directory,
-    plain_number,
-    read_toml_dict,
-    repeated_name,
-    toml_text,
-    write_text_atomic,
-)
 from sim_heating.base.files.paths import portable_problem
 from sim_heating.base.files.schema import schema_line
 from sim_heating.base.files.text import abbreviated
@@ -100,7 +89,7 @@ def point_inputs(points: Sequence[str], x_over_L: Mapping[str, str], ratios: Map
         ratio = None if name not in ratios else _number(ratios, name, "--ratio", 0.0, 300.0)
         inputs.append(PointInput(name, stack, position, ratio))
     names = [p.name for p in inputs]
-    if (twice := repeated_name(names)) is not None:
+    if (twice := files.repeated_name(names)) is not None:
         raise InputError(f"--point {twice}: is given twice; leave one out")
     for option, values in (("--place", x_over_L), ("--ratio", ratios)):
         for name in values:
@@ -126,7 +115,7 @@ def _number(values: Mapping[str, str], name: str, option: str, low: float, high:
             f"{option}: is missing for {name}; give its distance from the nose over the length, {name}=0.3"
         )
     try:
-        value = plain_number(values[name])
+        value = files.plain_number(values[name])
     except ValueError:
         value = math.nan
     if not low <= value <= high:
@@ -166,29 +155,29 @@ def write_new_vehicle(out: str | os.PathLike[str], design: VehicleInput) -> tupl
     if (problem := portable_problem(name)) is not None:
         raise InputError(f"--out {abbreviated(str(out))}: its last part {problem}")
     values = _values(name, design)
-    files = {
+    texts = {
         "vehicle.toml": render_toml("vehicle/vehicle.toml.j2", "vehicle", **values),
         "aero/aero.toml": render_toml("vehicle/aero.toml.j2", "aero", **values),
         "aero/longitudinal.csv": _coefficients(design, values["alpha_deg"]),
         "guidance.toml": render_toml("vehicle/guidance.toml.j2", "guidance", **values),
         "provenance.md": render("vehicle/provenance.md.j2", **values),
     }
-    files |= {f"aero/{flap}.csv": _flap(values["alpha_deg"]) for flap in ("elevon", "bodyflap") if design.surfaces}
+    texts |= {f"aero/{flap}.csv": _flap(values["alpha_deg"]) for flap in ("elevon", "bodyflap") if design.surfaces}
     for p in values["points"]:
-        files[f"control_points/{p['name']}.toml"] = render_toml("vehicle/control_point.toml.j2", "control_point", p=p)
-        files[f"ratio_sources/{p['name'].lower()}.toml"] = render_toml(
+        texts[f"control_points/{p['name']}.toml"] = render_toml("vehicle/control_point.toml.j2", "control_point", p=p)
+        texts[f"ratio_sources/{p['name'].lower()}.toml"] = render_toml(
             "vehicle/ratio_source.toml.j2", "ratio_source", p=p, **values
         )
     for material, m in values["materials"].items():
         line = schema_line("material")
-        files[f"materials/{material}.toml"] = (
-            f"{line}\n{toml_text(m.model_dump(exclude_unset=True, exclude_none=True))}"
+        texts[f"materials/{material}.toml"] = (
+            f"{line}\n{files.toml_text(m.model_dump(exclude_unset=True, exclude_none=True))}"
         )
-    with output_directory(out, "new vehicle", expected=("vehicle.toml",)) as folder:
+    with files.output_directory(out, "new vehicle", expected=("vehicle.toml",)) as folder:
         # a vehicle has the name of its directory, and that of results in the making is another
         unfinished = folder / name
-        for file, text in files.items():
-            write_text_atomic(unfinished / file, text)
+        for file, text in texts.items():
+            files.write_text_atomic(unfinished / file, text)
         with shown_at(unfinished, out):
             write_tables(unfinished, root=unfinished)
             check_vehicle(load_vehicle(unfinished, root=unfinished))
@@ -211,7 +200,7 @@ def _values(name: str, design: VehicleInput) -> dict[str, Any]:
     """Variables of the templates."""
     _require_positive(length=design.length_m, mass=design.mass_kg, area=design.area_m2)
     guidance_of = GLIDER if design.lift_to_drag >= GLIDES_FROM else CAPSULE
-    guidance = read_toml_dict(vehicle_directory(guidance_of) / "guidance.toml")
+    guidance = files.read_toml_dict(vehicle_directory(guidance_of) / "guidance.toml")
     for key in ("format", "source", "confidence", "alpha_deg", "alpha_limits_deg", "alpha_against", "approach"):
         guidance.pop(key, None)
     span_m = float(f"{min(design.length_m, 2.0 * math.sqrt(design.area_m2 / math.pi)):.4g}")
@@ -296,7 +285,7 @@ def _coefficients(design: VehicleInput, alpha_deg: Sequence[float]) -> str:
         "source": "sim-heating new vehicle: constant drag, lift proportional to angle of attack",
         "confidence": "C",
     }
-    return csv_text(
+    return files.csv_text(
         dict(zip(("mach", "alpha_deg", "CN", "CA", "Cm"), zip(*rows, strict=True), strict=True)), "g", header
     )
 
@@ -311,7 +300,7 @@ def _flap(alpha_deg: Sequence[float]) -> str:
     ]
     names = ("mach", "alpha_deg", "deflection_deg", "CN", "CA", "Cm")
     header = {"source": "sim-heating new vehicle: of the class of the Orbiter's, linear", "confidence": "C"}
-    return csv_text(dict(zip(names, zip(*rows, strict=True), strict=True)), "g", header)
+    return files.csv_text(dict(zip(names, zip(*rows, strict=True), strict=True)), "g", header)
 
 
 def shown_place(vehicle: str, folder: Path) -> str:
@@ -325,4 +314,4 @@ def shown_place(vehicle: str, folder: Path) -> str:
 def describe_vehicle(vehicle: Vehicle) -> str:
     """One line on a vehicle."""
     points = ", ".join(vehicle.control_points)
-    return f"vehicle {vehicle.name} in {display_path(vehicle.directory)}: control points {points}"
+    return f"vehicle {vehicle.name} in {files.display_path(vehicle.directory)}: control points {points}"

@@ -11,7 +11,7 @@ import pytest
 
 from sim_heating.base.errors import InputError, LeftOutWarning
 from sim_heating.base.report.figure import mark_beyond, new_figure
-from sim_heating.campaign.figures.flown import POPU, FlownData, LeftOut
+from sim_heating.campaign.figures.flown_data import POPU, FlownData, LeftOut
 from sim_heating.campaign.figures.histories import axial_step
 from sim_heating.campaign.figures.paper import DRAWINGS, PaperFigures, draw_figures, write_figures
 from sim_heating.campaign.figures.segments import reynolds_trend

@@ -1,7 +1,5 @@
 """Figures 1 and 3: the systems approach and the estimator as boxes and arrows, in the program's own words."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +11,7 @@ from matplotlib.patches import FancyBboxPatch
 
 from sim_heating.base.report.figure import MANOEUVRE_NAMES, new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, finished
-from sim_heating.campaign.figures.flown import FlownData
+from sim_heating.campaign.figures.flown_data import FlownData
 
 WIDTH, HEIGHT = 2.5, 1.0
 """Size of a box, in units of the positions."""

@@ -1,14 +1,12 @@
 """Figure 4: temperatures a priori and a posteriori of the Kalman filter, from approximate initial conditions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 
 from sim_heating.base.report.figure import legend_above, new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
-from sim_heating.campaign.figures.flown import POPU, FlownData
+from sim_heating.campaign.figures.flown_data import POPU, FlownData
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.report.filtered import POSTERIOR, PRIOR, FilteredSensor, filtered_history
 

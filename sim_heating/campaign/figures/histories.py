@@ -1,7 +1,5 @@
 """Time histories about manoeuvres, figures 5, 6, 7, 10, 11 and 13: measured, predicted, fitted; the angles beneath."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,18 +10,8 @@ from matplotlib.axes import Axes
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.report.figure import ANGLES, MEASURED, legend_above, mark_beyond, new_figure
+from sim_heating.campaign.figures import flown_data
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
-from sim_heating.campaign.figures.flown import (
-    COATING,
-    FLAP,
-    POPU,
-    SIGMAS,
-    SKEW,
-    FlownData,
-    PointManoeuvre,
-    fit_quality,
-    ratio_part,
-)
 from sim_heating.campaign.figures.ratios import NEAR_NOISE, TURBULENT_TIMES, excursion
 from sim_heating.closure.clues.axial_force import COLUMN as AXIAL
 from sim_heating.estimation.fit import FitResult
@@ -55,15 +43,15 @@ LEAST_SPAN_K = 4.0
 class Panel:
     """One manoeuvre of a figure with its fit."""
 
-    flown: PointManoeuvre
+    flown: flown_data.PointManoeuvre
     fit: FitResult
 
 
 def lower_surface(number: int, mach: float) -> Any:
     """Drawing of figure 5, 6 or 7: the lower surface in the POPU of a speed in units of 1000 ft/s."""
 
-    def draw(data: FlownData) -> PaperFigure:
-        flown = data.manoeuvre("lower", POPU, mach)
+    def draw(data: flown_data.FlownData) -> PaperFigure:
+        flown = data.manoeuvre("lower", flown_data.POPU, mach)
         panel = Panel(flown, data.linear_fit(flown, "alpha"))
         drawn = _draw(number, "lower surface", data, [panel])
         return replace(drawn, statements=LOWER_STATEMENTS[number](data, panel))
@@ -74,22 +62,22 @@ def lower_surface(number: int, mach: float) -> Any:
 def elevon(number: int, shown: Sequence[tuple[tuple[str, ...], float]]) -> Any:
     """Drawing of figure 10 or 11: the outboard elevon in manoeuvres given by kinds and speed."""
 
-    def draw(data: FlownData) -> PaperFigure:
+    def draw(data: flown_data.FlownData) -> PaperFigure:
         panels = []
         for kinds, mach in shown:
             flown = data.manoeuvre("elevon", kinds, mach)
             # a POPU is trimmed with the elevon, which the point is on
-            terms = ("elevon", "elevon2") if kinds == FLAP else ("alpha", "elevon")
+            terms = ("elevon", "elevon2") if kinds == flown_data.FLAP else ("alpha", "elevon")
             panels.append(Panel(flown, data.linear_fit(flown, *terms)))
         return _draw(number, "outboard elevon", data, panels)
 
     return draw
 
 
-def pod(data: FlownData) -> PaperFigure:
+def pod(data: flown_data.FlownData) -> PaperFigure:
     """Figure 13: the side of the OMS pod in the Mach 20 POPU."""
-    flown = data.manoeuvre("pod", POPU, 20.0)
-    drawn = _draw(13, "OMS pod", data, [Panel(flown, data.impingement_fit(flown, SKEW, COATING))])
+    flown = data.manoeuvre("pod", flown_data.POPU, 20.0)
+    drawn = _draw(13, "OMS pod", data, [Panel(flown, data.impingement_fit(flown, flown_data.SKEW, flown_data.COATING))])
     t, residual = _residual(data, flown)
     inside = (t >= flown.manoeuvre.start_s) & (t <= flown.manoeuvre.end_s)
     swing, floor = float(np.nanmax(residual[inside]) - np.nanmin(residual[inside])), flown.record.noise_floor_K()
@@ -102,14 +90,14 @@ def pod(data: FlownData) -> PaperFigure:
     return replace(drawn, statements=(statement,))
 
 
-def _residual(data: FlownData, flown: PointManoeuvre) -> tuple[FloatArray, FloatArray]:
+def _residual(data: flown_data.FlownData, flown: flown_data.PointManoeuvre) -> tuple[FloatArray, FloatArray]:
     """(sample,) times of a record [s], and its outermost readings less the declared laminar model [K]."""
     i, _ = flown.outermost
     laminar = data.declared(flown.record, [TRANSITION]).indicated_K[i]
     return flown.record.time_s, flown.record.temperatures_K()[i] - laminar
 
 
-def _at_mach_20(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
+def _at_mach_20(data: flown_data.FlownData, panel: Panel) -> tuple[Statement, ...]:
     """The fit of the lower surface holds the readings of the laminar manoeuvre."""
     rmse, floor = panel.fit.after[0].segment_errors()["fit"]["rmse_K"], panel.flown.record.noise_floor_K()
     return (
@@ -122,7 +110,7 @@ def _at_mach_20(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
     )
 
 
-def _at_mach_12(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
+def _at_mach_12(data: flown_data.FlownData, panel: Panel) -> tuple[Statement, ...]:
     """Telemetry, hotter than laminar above 44 deg, step of the axial force."""
     flown, flight = panel.flown, panel.flown.record.conditions
     t, residual = _residual(data, flown)
@@ -153,7 +141,7 @@ def _at_mach_12(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
             if step is None
             else f"{step.relative:+.1%} (sigma {step.sigma:.1%}) above {step.alpha_deg:.1f} deg",
             step is not None
-            and step.relative > SIGMAS * step.sigma
+            and step.relative > flown_data.SIGMAS * step.sigma
             and abs(step.alpha_deg - TURNING_DEG) < NEAR_TURNING_DEG,
         ),
     )
@@ -199,13 +187,13 @@ def axial_step(record: Record, span_s: tuple[float, float]) -> AxialStep | None:
     return best
 
 
-def _at_mach_8(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
+def _at_mach_8(data: flown_data.FlownData, panel: Panel) -> tuple[Statement, ...]:
     """Turbulent flow all through: the ratio is far above the laminar table's at every angle flown."""
     flown, fit = panel.flown, panel.fit
     table = flown.record.ratio_table
     if table is None:
         return ()
-    names, values, covariance = ratio_part(fit)
+    names, values, covariance = flown_data.ratio_part(fit)
     reference = np.array(fit.problem.reference)
     x = along_variable(reference, 0, np.linspace(*excursion(flown, ALPHA), 21))
     ratio, _ = estimated_ratio(names, values, covariance, reference, None, x)
@@ -226,7 +214,7 @@ LOWER_STATEMENTS = {5: _at_mach_20, 6: _at_mach_12, 7: _at_mach_8}
 """Number of a figure of the lower surface -> its statements."""
 
 
-def _draw(number: int, where: str, data: FlownData, panels: Sequence[Panel]) -> PaperFigure:
+def _draw(number: int, where: str, data: flown_data.FlownData, panels: Sequence[Panel]) -> PaperFigure:
     """One column of panels a manoeuvre."""
     title = f"{where} {panels[0].flown.record.declared.control_point}, {' and '.join(p.flown.label for p in panels)}"
     drawn = new_figure(
@@ -237,11 +225,13 @@ def _draw(number: int, where: str, data: FlownData, panels: Sequence[Panel]) -> 
     for column, panel in zip(drawn[1].T, panels, strict=True):
         suffix = panel.flown.key if len(panels) > 1 else ""
         tables |= _plot_panel(column, data, panel, suffix)
-        notes.append(f"{panel.flown.label}, {panel.flown.record.declared.control_point}: {fit_quality(panel.fit)}")
+        notes.append(
+            f"{panel.flown.label}, {panel.flown.record.declared.control_point}: {flown_data.fit_quality(panel.fit)}"
+        )
     return finished(number, title, drawn, tables, tuple(notes))
 
 
-def _plot_panel(axes: np.ndarray, data: FlownData, panel: Panel, suffix: str) -> dict[str, dict[str, Any]]:
+def _plot_panel(axes: np.ndarray, data: flown_data.FlownData, panel: Panel, suffix: str) -> dict[str, dict[str, Any]]:
     """Plot one manoeuvre from top to bottom; the tables of what is drawn."""
     flown, record = panel.flown, panel.flown.record
     i, sensor = flown.outermost
@@ -304,16 +294,16 @@ def _plot_angles(a: Axes, conditions: Conditions, begin: float, end: float) -> d
     inside = (conditions.time_s >= begin) & (conditions.time_s <= end)
     columns = {"time_s": conditions.time_s[inside]}
     moving = [name for name in ANGLES if np.ptp(conditions[name][inside]) > DRAWN_ABOVE_DEG]
-    deflections = [name for name in moving if name != ALPHA]
-    other = a.twinx() if ALPHA in moving and deflections else a
+    on_the_right = moving[1:] if moving[:1] == [ALPHA] else []
+    other = a.twinx() if on_the_right else a
     lines = []
     for name in moving:
         label, color = ANGLES[name]
         columns[name] = conditions[name][inside]
-        axis, style = (a, "-") if name == ALPHA or other is a else (other, "--")
+        axis, style = (other, "--") if name in on_the_right else (a, "-")
         lines += axis.plot(columns["time_s"], columns[name], style, color=color, linewidth=1.3, label=label)
     a.set_ylabel(f"{ANGLES[ALPHA][0]}, deg" if ALPHA in moving else "deg")
-    if other is not a:
+    if on_the_right:
         other.set_ylabel("deflections, deg\n(dashed)")
     if lines:
         legend_above(a, handles=lines)

@@ -5,8 +5,6 @@ side, where their heat shields are of different kinds. There the wall is not iso
 differs from that of the tables.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +16,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SHUTTLE_MACH_M_S, Conditions
 from sim_heating.base.report.figure import new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
-from sim_heating.campaign.figures.flown import POPU, FlownData, LeftOut
+from sim_heating.campaign.figures.flown_data import POPU, FlownData, LeftOut
 from sim_heating.campaign.flights import CampaignFlight
 from sim_heating.inputs.points import conditions_behind_walls, excess_behind_interface, point_of_vehicle
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
@@ -97,11 +95,33 @@ def _draw_interfaces(a: Axes, points: Sequence[ControlPoint], axis: int) -> None
             a.annotate(face.materials, middle, xytext=(14, -6), textcoords="offset points", fontsize=7.5, color="0.3")
 
 
+def _faces(vehicle: Vehicle) -> list[Interface]:
+    """Interfaces that control points declare; where none does, those between neighbours. LeftOut for none of either."""
+    every = interfaces(list(vehicle.control_points.values()))
+    if not every:
+        raise LeftOut(f"{vehicle.name}: its control points have heat shields of one kind, so that it has no interface")
+    return [face for face in every if face.declared] or every
+
+
+def _statements_of(face: Interface, peak: float, most: float, excess: float, step_K: float) -> Sequence[Statement]:
+    """What the paper says of an interface.
+
+    peak, most : Mach numbers at which the upstream wall is hottest, and the heating behind it largest
+    excess     : of that heating [-];  step_K : largest difference of the walls
+    """
+    if face.upstream.declared.heat_shield == CAP:
+        return _nose_statements(peak, most, excess)
+    if face.downstream.declared.heat_shield == FELT:
+        paper = "from the pod's tile to its felt the wall temperature falls by a step"
+        return [Statement(91, paper, f"{face.downstream.name}: {step_K:.0f} K at most", step_K > 0.0)]
+    return []
+
+
 def control_points(data: FlownData) -> PaperFigure:
     """Figure 15: the control points of the vehicle from the side and from above, by heat shield, and its interfaces."""
     vehicle = data.vehicle
     points = list(vehicle.control_points.values())
-    flown = {name for flight in data.flights for name in flight.records}
+    flown = set[str]().union(*(flight.records for flight in data.flights))
     peaks = _peaks(data, points)
     shields = list(dict.fromkeys(p.declared.heat_shield for p in sorted(points, key=lambda p: p.position_m[0])))
     hot = [p for p in points if peaks[p.name] > p.limits.surface_K]
@@ -109,11 +129,7 @@ def control_points(data: FlownData) -> PaperFigure:
     for a, axis, label in zip(drawn[1], (2, 1), ("z, m, up", "y, m, starboard"), strict=True):
         _draw_interfaces(a, points, axis)
         for shield, color in zip(shields, COLORS, strict=False):
-            of_shield = [p for p in points if p.declared.heat_shield == shield]
-            filled = [color if p.name in flown else "white" for p in of_shield]
-            a.scatter(
-                *_positions(of_shield, axis), s=46, c=filled, edgecolors=color, linewidths=1.6, label=shield, zorder=3
-            )
+            _draw_shield(a, shield, points, axis, color, flown)
         a.scatter(
             *_positions(hot, axis),
             s=150,
@@ -134,14 +150,25 @@ def control_points(data: FlownData) -> PaperFigure:
     above = [f"{p.name} {peaks[p.name]:.0f} of {p.limits.surface_K:.0f} K" for p in hot]
     notes = (note, f"predicted above the surface limit, {data.flights[0].name}: {', '.join(above) or 'none'}")
     title = f"control points of the vehicle {vehicle.name}; filled: with a record; dotted: interfaces"
+    return finished(15, title, drawn, {"": _table(points, flown, peaks)}, notes, (_felt_statement(hot),))
+
+
+def _felt_statement(hot: Sequence[ControlPoint]) -> Statement:
+    """What the paper says of the felt of the pods; hot : points above their limits."""
     on_pods = [p.name for p in hot if p.declared.heat_shield == FELT and p.declared.interface is not None]
-    statement = Statement(
+    return Statement(
         89,
         "felt of the OMS pods behind the tile is discoloured",
         f"above its limit: {', '.join(on_pods) or 'none'}",
         bool(on_pods),
     )
-    return finished(15, title, drawn, {"": _table(points, flown, peaks)}, notes, (statement,))
+
+
+def _draw_shield(a: Any, shield: str, points: Sequence[ControlPoint], axis: int, color: str, flown: set[str]) -> None:
+    """Mark the points of one heat shield, filled where they have a record."""
+    of_shield = [p for p in points if p.declared.heat_shield == shield]
+    filled = [color if p.name in flown else "white" for p in of_shield]
+    a.scatter(*_positions(of_shield, axis), s=46, c=filled, edgecolors=color, linewidths=1.6, label=shield, zorder=3)
 
 
 def _table(points: Sequence[ControlPoint], flown: set[str], peaks: dict[str, float]) -> dict[str, Any]:
@@ -160,14 +187,7 @@ def _table(points: Sequence[ControlPoint], flown: set[str], peaks: dict[str, flo
 
 def _name_points(a: Axes, points: Sequence[ControlPoint], axis: int) -> None:
     """Name the points, those at one place together; of near ones the upper is named above and the lower below."""
-    groups: list[tuple[float, float, list[str]]] = []
-    for p in sorted(points, key=lambda p: (p.position_m[0], p.position_m[axis])):
-        x, y = p.position_m[0], p.position_m[axis]
-        near = [g for g in groups if np.hypot(x - g[0], y - g[1]) < SAME_PLACE_M]
-        if near:
-            near[0][2].append(p.name)
-        else:
-            groups.append((x, y, [p.name]))
+    groups = _by_place(points, axis)
     far_y = LABEL_SHARE * float(np.ptp([g[1] for g in groups]))
     for k, (x, y, names) in enumerate(groups):
         neighbours = [(abs(g[0] - x), g[1]) for g in groups if abs(g[0] - x) < LABEL_M and 0.0 < abs(g[1] - y) < far_y]
@@ -183,6 +203,19 @@ def _name_points(a: Axes, points: Sequence[ControlPoint], axis: int) -> None:
         )
 
 
+def _by_place(points: Sequence[ControlPoint], axis: int) -> list[tuple[float, float, list[str]]]:
+    """Position along x and an axis [m] and names of the points, those at one place together."""
+    groups: list[tuple[float, float, list[str]]] = []
+    for p in sorted(points, key=lambda p: (p.position_m[0], p.position_m[axis])):
+        x, y = p.position_m[0], p.position_m[axis]
+        near = [g for g in groups if np.hypot(x - g[0], y - g[1]) < SAME_PLACE_M]
+        if near:
+            near[0][2].append(p.name)
+        else:
+            groups.append((x, y, [p.name]))
+    return groups
+
+
 def wall_temperatures(data: FlownData) -> PaperFigure:
     """Figure 16: predicted wall temperatures on both sides of each interface against speed, their difference, and the
     heating that it adds.
@@ -190,10 +223,7 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
     Interfaces are those that control points declare; where none does, those between neighbours, without a heating.
     """
     vehicle, flight = data.vehicle, _flight_of_cap(data)
-    every = interfaces(list(vehicle.control_points.values()))
-    faces = [face for face in every if face.declared] or every
-    if not faces:
-        raise LeftOut(f"{vehicle.name}: its control points have heat shields of one kind, so that it has no interface")
+    faces = _faces(vehicle)
     flown = next(iter(flight.records.values())).conditions
     mach = flown["velocity_m_s"] / SHUTTLE_MACH_M_S
     shown = mach >= FEWEST_KFT_S
@@ -210,7 +240,7 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
         height_ratios=(2, 1, 1)[:rows],
     )
     columns: dict[str, Any] = {"time_s": flown.time_s[shown], "speed_kft_s": mach[shown]}
-    notes, statements = [], []
+    notes, statements = [], list[Statement]()
     for axes, face in zip(drawn[1].T, faces, strict=True):
         warm, behind = walls[face.upstream.name], walls[face.downstream.name]
         for point, color in ((face.upstream, "tab:red"), (face.downstream, "tab:blue")):
@@ -239,12 +269,7 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
                 f"{face.downstream.name}: heating behind the interface {excess[most]:+.1%} at most, at Mach "
                 f"{mach[shown][most]:.1f}"
             )
-            if face.upstream.declared.heat_shield == CAP:
-                statements += _nose_statements(mach[peak], mach[shown][most], excess[most])
-            elif face.downstream.declared.heat_shield == FELT:
-                here = f"{face.downstream.name}: {step[largest]:.0f} K at most"
-                paper = "from the pod's tile to its felt the wall temperature falls by a step"
-                statements.append(Statement(91, paper, here, step[largest] > 0.0))
+            statements += _statements_of(face, mach[peak], mach[shown][most], excess[most], step[largest])
         for a in axes[1:]:
             a.axhline(0.0, color="0.5", linewidth=0.8)
         axes[-1].set_xlabel("speed, 1000 ft/s")

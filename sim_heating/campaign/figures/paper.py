@@ -1,7 +1,5 @@
 """The list of the paper's figures, what flights give of it, and the files of the command."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,7 +24,7 @@ from sim_heating.campaign.figures import (
     tunnel,
 )
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement
-from sim_heating.campaign.figures.flown import FLAP, POPU, FlownData, LeftOut
+from sim_heating.campaign.figures.flown_data import FLAP, POPU, FlownData, LeftOut
 from sim_heating.campaign.flights import SCENARIO_SUFFIX, CampaignFlight, flight_of_scenario, read_flights
 from sim_heating.campaign.spec import Campaign, load_campaign
 from sim_heating.simulation.run import fly_scenario
@@ -181,9 +179,14 @@ def _flights(
             paths.remove(Path(source))
             flights += _campaign_flights(campaign, root, progress)
     flights += read_flights(paths, root=root, progress=progress) if paths else []
-    inputs += [path for f in flights if f.scenario is not None for path in f.scenario.files]
-    inputs += [r.directory for f in flights if f.scenario is None for r in f.records.values() if r.directory.is_dir()]
-    return flights, list(dict.fromkeys(inputs))
+    return flights, list(dict.fromkeys([*inputs, *_inputs_of(flights)]))
+
+
+def _inputs_of(flights: Sequence[CampaignFlight]) -> list[Path]:
+    """Files of the flights' scenarios, and directories of the records of those that have none."""
+    files = [path for f in flights if f.scenario is not None for path in f.scenario.files]
+    records = [r.directory for f in flights if f.scenario is None for r in f.records.values()]
+    return [*files, *filter(Path.is_dir, records)]
 
 
 def _campaign_flights(

@@ -1,7 +1,5 @@
 """The OMS pod, figures 14 and 17: onset of impingement and dependence on Reynolds number, flight over wind tunnel."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +9,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.report.figure import legend_above, new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
-from sim_heating.campaign.figures.flown import (
+from sim_heating.campaign.figures.flown_data import (
     COATING,
     LAG_TIME,
     ONSET,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.parameters import SHORT_NAMES
 from sim_heating.base.report.figure import new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
-from sim_heating.campaign.figures.flown import (
+from sim_heating.campaign.figures.flown_data import (
     FLAP,
     POPU,
     SIGMAS,
@@ -245,42 +245,55 @@ def _overlaid(
     Where some are far above others, these have a second panel.
     """
     i = SHORT_NAMES.index(terms[0])
+    estimates, notes = _estimates(data, region, kinds, machs, terms)
+    ends = np.array([e.x[[0, -1], i] for e in estimates])
+    low, high = ends[:, 0].min(), ends[:, 1].max()
+    wide = np.linspace(low - WIDER * (high - low), high + WIDER * (high - low), SAMPLES)
+    least = min(e.ratio.max() for e in estimates)
+    lower = [e for e in estimates if e.ratio.max() < FAR_ABOVE * least]
+    panels = [estimates] if len(lower) == len(estimates) else [estimates, lower]
+    drawn = new_figure((7.5, 11.5)[len(panels) - 1], 6.4, 1, len(panels), squeeze=False)
+    tables: dict[str, dict[str, Any]] = {"table": {RATIO_VARIABLES[i]: wide}}
+    for a, shown, with_band in zip(drawn[1][0], panels, (estimates[0], None), strict=False):
+        for e in shown:
+            _plot_estimate(a, e, i, wide, tables, data.turbulent_part(e.flown), band=e is with_band)
+        a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
+        a.set_xlim(wide[0], wide[-1])
+    drawn[1][0, 0].set_ylabel(ratio_label(estimates[0].flown.record))
+    if len(panels) == 2:
+        _enlarge(drawn[1][0, 1], lower, tables["table"])
+    legend_below(drawn)
+    notes += [f"{e.flown.label}: {e.text}; {fit_quality(e.fit)}" for e in estimates]
+    return finished(number, title, drawn, tables, tuple(notes)), estimates
+
+
+def _estimates(
+    data: FlownData, region: str, kinds: Sequence[str], machs: Sequence[float], terms: Sequence[str]
+) -> tuple[list[Estimate], list[str]]:
+    """Estimates of the manoeuvres near Mach numbers, and why others are left out; LeftOut where all are."""
     data.records_of(region)
     estimates, notes = [], []
     for mach, color in zip(machs, COLORS, strict=True):
         try:
             flown = data.manoeuvre(region, kinds, mach)
-            estimates.append(_estimate(flown, data.linear_fit(flown, *terms), color, i))
+            fit = data.linear_fit(flown, *terms)
+            estimates.append(_estimate(flown, fit, color, SHORT_NAMES.index(terms[0])))
         except LeftOut as reason:
             notes.append(f"Mach {mach:g}: {reason}")
     if not estimates:
         raise LeftOut("; ".join(notes))
-    low, high = min(e.x[0, i] for e in estimates), max(e.x[-1, i] for e in estimates)
-    wide = np.linspace(low - WIDER * (high - low), high + WIDER * (high - low), SAMPLES)
-    least = min(e.ratio.max() for e in estimates)
-    lower = [e for e in estimates if e.ratio.max() < FAR_ABOVE * least]
-    panels = 2 if len(lower) < len(estimates) else 1
-    drawn = new_figure(7.5 if panels == 1 else 11.5, 6.4, 1, panels, squeeze=False)
-    tables: dict[str, dict[str, Any]] = {"table": {RATIO_VARIABLES[i]: wide}}
-    for a, shown in zip(drawn[1][0], (estimates, lower), strict=False):
-        for e in shown:
-            _plot_estimate(
-                a, e, i, wide, tables, data.turbulent_part(e.flown), band=shown is estimates and e is estimates[0]
-            )
-        a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
-        a.set_xlim(wide[0], wide[-1])
-    drawn[1][0, 0].set_ylabel(ratio_label(estimates[0].flown.record))
-    if panels == 2:
-        shown_low = min(float(np.min(e.ratio - SIGMAS * e.sigma)) for e in lower)
-        shown_high = max(float(np.max(e.ratio + SIGMAS * e.sigma)) for e in lower)
-        tunnel = [v for n, v in tables["table"].items() if n in {e.flown.key for e in lower}]
-        shown_low, shown_high = min(shown_low, np.min(tunnel)), max(shown_high, np.max(tunnel))
-        margin = 0.08 * (shown_high - shown_low)
-        drawn[1][0, 1].set_ylim(shown_low - margin, shown_high + margin)
-        drawn[1][0, 1].set_title("the same, enlarged", fontsize=10)
-    legend_below(drawn)
-    notes += [f"{e.flown.label}: {e.text}; {fit_quality(e.fit)}" for e in estimates]
-    return finished(number, title, drawn, tables, tuple(notes)), estimates
+    return estimates, notes
+
+
+def _enlarge(a: Axes, shown: Sequence[Estimate], tables: Mapping[str, FloatArray]) -> None:
+    """Limit a panel to the bounds of its estimates and to their declared tables, by the key of the manoeuvre."""
+    of_table = [tables[e.flown.key] for e in shown if e.flown.key in tables]
+    low = min(float(np.min(e.ratio - SIGMAS * e.sigma)) for e in shown)
+    high = max(float(np.max(e.ratio + SIGMAS * e.sigma)) for e in shown)
+    low, high = min(low, np.min(of_table)), max(high, np.max(of_table))
+    margin = 0.08 * (high - low)
+    a.set_ylim(low - margin, high + margin)
+    a.set_title("the same, enlarged", fontsize=10)
 
 
 def _plot_estimate(

@@ -1,7 +1,5 @@
 """Figure 2: cross sections of the heat shield at the control points of the paper, with the depths of thermocouples."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
@@ -12,7 +10,7 @@ from matplotlib.axes import Axes
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.report.figure import new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, finished
-from sim_heating.campaign.figures.flown import FlownData, LeftOut
+from sim_heating.campaign.figures.flown_data import FlownData, LeftOut
 from sim_heating.inputs.record import Record
 
 LEAST_SHARE = 0.09

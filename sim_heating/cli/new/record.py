@@ -172,17 +172,43 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
     """
     from sim_heating.cli.path_check import describe_record
     from sim_heating.templates import record as maker
-    from sim_heating.templates.loggers.layout_file import read_layout, write_layout
-    from sim_heating.templates.measured_csv import lost_values, read_measured_csv
+    from sim_heating.templates.loggers.layout_file import write_layout
 
     if options["like"] is not None:
         _refuse_with_like()
     if options["period"] is not None and not options["period"] > 0.0:
         raise InputError("--period: must be above 0")
-    lamp = options["lamp"]
-    kept = None if options["layout_file"] is None else read_layout(options["layout_file"])
+    measured = _read_csv(csv_file, options)
+    depths = {measured.name_of(name): depth for name, depth in depths.items()}
+    print_table(measured.table())
+    print_table(measured.first_rows())
+    if options["like"] is not None:
+        record, notes = maker.like_record(
+            out,
+            options["like"],
+            measured,
+            depths,
+            options["title"],
+            options["noise"],
+            is_measured=not options["synthetic"],
+        )
+    else:
+        record, notes = maker.write_new_record(out, measured, _record_input(measured, layers, depths, options))
+    if options["keep_layout"] is not None:
+        notes.append(f"layout of {csv_file.name} kept in {options['keep_layout']}: --layout reads the next files by it")
+        write_layout(options["keep_layout"], measured.stated, csv_file.name, depths)
+    print_notes(notes)
+    commands = ["estimate", "close-loop"] if record.lacks_ratio else ["predict", "estimate", "close-loop"]
+    lines = (f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}" for c in commands)
+    print_made(describe_record(record), out, *lines, notes=notes)
+
+
+def _read_csv(csv_file: Path, options: dict[str, Any]) -> MeasuredCsv:
+    from sim_heating.templates.loggers.layout_file import read_layout
+    from sim_heating.templates.measured_csv import lost_values, read_measured_csv
+
     signs = {None: None, "tab": "\t", "blank": " "}
-    measured = read_measured_csv(
+    return read_measured_csv(
         csv_file,
         time=options["time"],
         time_unit=options["time_unit"],
@@ -198,60 +224,42 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
         lost=() if options["lost"] is None else lost_values(options["lost"]),
         repeated=options["repeated"],
         sheet=options["sheet"],
-        layout=kept,
-        flux=lamp,
+        layout=None if options["layout_file"] is None else read_layout(options["layout_file"]),
+        flux=options["lamp"],
     )
-    depths = {measured.name_of(name): depth for name, depth in depths.items()}
-    lamp = None if lamp is None else measured.name_of(lamp)
-    print_table(measured.table())
-    print_table(measured.first_rows())
-    if options["like"] is not None:
-        record, notes = maker.like_record(
-            out,
-            options["like"],
-            measured,
-            depths,
-            options["title"],
-            options["noise"],
-            is_measured=not options["synthetic"],
-        )
-    else:
-        stack = _stack(layers)
-        sensors = maker.sensor_columns(measured)
-        depths_m = maker.depths_of(measured, depths, stack)
-        depths_m |= _asked_depths([s.name for s in sensors if s.name not in depths_m], stack, measured.path)
-        record, notes = maker.write_new_record(
-            out,
-            measured,
-            maker.RecordInput(
-                stack,
-                depths_m,
-                _heat(measured, lamp, options),
-                title=options["title"],
-                point=options["point"],
-                measured=not options["synthetic"],
-                emissivity=options["emissivity"],
-                initial_K=options["initial"],
-                surroundings_K=options["surroundings"],
-                back=_back(options, measured),
-                noise_K=options["noise"],
-                pressure_Pa=options["pressure"],
-                nose_radius_m=options["nose_radius"],
-                running_length_m=options["running_length"],
-                sweep_deg=options["sweep"],
-                local_angle_deg=options["local_angle"],
-                recovery=options["recovery"],
-                ratio=options["ratio"],
-                ratio_table=options["ratio_table"],
-            ),
-        )
-    if options["keep_layout"] is not None:
-        notes.append(f"layout of {csv_file.name} kept in {options['keep_layout']}: --layout reads the next files by it")
-        write_layout(options["keep_layout"], measured.stated, csv_file.name, depths)
-    print_notes(notes)
-    commands = ["estimate", "close-loop"] if record.lacks_ratio else ["predict", "estimate", "close-loop"]
-    lines = (f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}" for c in commands)
-    print_made(describe_record(record), out, *lines, notes=notes)
+
+
+def _record_input(
+    measured: MeasuredCsv, layers: tuple[str, ...], depths: dict[str, str], options: dict[str, Any]
+) -> Any:
+    """What a record is made of beside its readings; depths : by column."""
+    from sim_heating.templates import record as maker
+
+    stack = _stack(layers)
+    sensors = maker.sensor_columns(measured)
+    depths_m = maker.depths_of(measured, depths, stack)
+    depths_m |= _asked_depths([s.name for s in sensors if s.name not in depths_m], stack, measured.path)
+    return maker.RecordInput(
+        stack,
+        depths_m,
+        _heat(measured, options),
+        title=options["title"],
+        point=options["point"],
+        measured=not options["synthetic"],
+        emissivity=options["emissivity"],
+        initial_K=options["initial"],
+        surroundings_K=options["surroundings"],
+        back=_back(options, measured),
+        noise_K=options["noise"],
+        pressure_Pa=options["pressure"],
+        nose_radius_m=options["nose_radius"],
+        running_length_m=options["running_length"],
+        sweep_deg=options["sweep"],
+        local_angle_deg=options["local_angle"],
+        recovery=options["recovery"],
+        ratio=options["ratio"],
+        ratio_table=options["ratio_table"],
+    )
 
 
 def _refuse_with_like() -> None:
@@ -299,11 +307,12 @@ def _asked_depths(names: Sequence[str], stack: Sequence[LayerInput], path: Path)
     return {name: depth_m(text, stack, f"--depth {name}={text}") for name, text in answers.items()}
 
 
-def _heat(measured: MeasuredCsv, lamp: str | None, options: dict[str, Any]) -> Any:
+def _heat(measured: MeasuredCsv, options: dict[str, Any]) -> Any:
     """What heats the wall: the option --lamp or --conditions, else the only column of a heat flux."""
     from sim_heating.templates.measured_csv import FLUX
     from sim_heating.templates.record import flown_heat, lamp_heat
 
+    lamp = options["lamp"]
     if options["flight"] is not None:
         if lamp is not None:
             raise InputError("--lamp: goes with a test on the ground, --conditions with a flight; give one of the two")
@@ -320,8 +329,7 @@ def _heat(measured: MeasuredCsv, lamp: str | None, options: dict[str, Any]) -> A
             has_pressure=options["pressure"] is not None,
         )
     _refuse_without_flight(options)
-    if lamp is None:
-        lamp = _lamp_of([c.name for c in measured.of_kind(FLUX)])
+    lamp = _lamp_of([c.name for c in measured.of_kind(FLUX)]) if lamp is None else measured.name_of(lamp)
     return lamp_heat(measured, lamp, options["lit"], options["absorptance"])
 
 

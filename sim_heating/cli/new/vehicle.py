@@ -1,7 +1,5 @@
 """The command `sim-heating new vehicle`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Facts about predictions and fits of flight records, from which their credibility follows."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -13,13 +11,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.parameters import SHORT_NAMES
-from sim_heating.credibility.facts.contributors import (
-    Uncertainty,
-    band_uncertainty,
-    combined,
-    declares_sigma,
-    peak_uncertainty,
-)
+from sim_heating.credibility.facts import contributors
 from sim_heating.credibility.facts.sources import conditions_of_record, inputs_of_record
 from sim_heating.credibility.facts.topics import topics_of_record
 from sim_heating.credibility.reviews import digest_of
@@ -56,9 +48,9 @@ def facts_of_record(
     inside = np.isfinite(history.surface_K) & (t >= span[0]) & (t <= span[1])
     times, surface = t[inside], history.surface_K[inside]
     digest = digest_of(record) if os.path.isdir(record.directory) else ""
-    uncertainty = band_uncertainty(history)
+    uncertainty = contributors.band_uncertainty(history)
     if uncertainty is None and with_peak and len(times):
-        uncertainty = peak_uncertainty(model, flown, peak(times, surface)[1])
+        uncertainty = contributors.peak_uncertainty(model, flown, peak(times, surface)[1])
     agreement = _within_uncertainty(record, residual_K, uncertainty)
     return Facts(
         kind=kind,
@@ -68,7 +60,7 @@ def facts_of_record(
         files={f"record {record.name}": digest} if digest else {},
         samples=(samples_of(record.conditions.at(times), surface),) if len(times) else (),
         mesh_error_K=history.mesh_error_K,
-        sigma=history.band is not None or declares_sigma(model, record.conditions),
+        sigma=history.band is not None or contributors.declares_sigma(model, record.conditions),
         uncertainty=uncertainty,
         consistent=within_noise(record, residual_K),
         holds=agreement,
@@ -131,7 +123,7 @@ def held_out(fitted_K: float | None, held_K: float | None) -> Answer:
     return Answer(held_K <= MODEL_ERROR_RATIO * fitted_K, text)
 
 
-def _within_uncertainty(record: Record, residual_K: FloatArray, uncertainty: Uncertainty | None) -> Answer:
+def _within_uncertainty(record: Record, residual_K: FloatArray, uncertainty: contributors.Uncertainty | None) -> Answer:
     """Whether measured and predicted temperatures differ by no more than two standard deviations, with the noise of
     the readings where all used sensors declare it."""
     if uncertainty is None:
@@ -174,7 +166,7 @@ def _all(answers: Iterable[Answer]) -> Answer:
 
 def ratio_uncertainty(
     sigma: Mapping[str, float], records: Sequence[Record], reference: Sequence[float]
-) -> Uncertainty | None:
+) -> contributors.Uncertainty | None:
     """What the uncertainty of an estimated heating ratio comes from, where the flight was farthest from the reference.
 
     sigma     : of the estimated parameters, by dotted name
@@ -185,18 +177,18 @@ def ratio_uncertainty(
 
     Correlations of the estimates are left out: the combined sigma is an upper bound where they are negative.
     """
-    flown = [r.conditions for r in records if all(v in r.conditions for v in RATIO_VARIABLES)]
+    flown = [r.conditions for r in records if r.conditions.columns.keys() >= {*RATIO_VARIABLES}]
     if not flown:
         return None
     x = np.concatenate([np.stack([c[v] for v in RATIO_VARIABLES], axis=1) for c in flown])
-    farthest = np.max(np.abs(x - np.asarray(reference)), axis=0)
+    farthest = np.max(np.abs(x - np.asarray(reference)), axis=0).tolist()
     magnitude = max(float(np.max(np.abs(declared_ratio(r.ratio_table, np.atleast_2d(reference))))) for r in records)
-    reach = {"scale": magnitude, "d0": 1.0} | {f"d_{s}": float(d) for s, d in zip(SHORT_NAMES, farthest, strict=True)}
-    reach = {f"ratio.{name}": value for name, value in reach.items()}
+    derivatives = map("ratio.d_{}".format, SHORT_NAMES)
+    reach = {"ratio.scale": magnitude, "ratio.d0": 1.0, **dict(zip(derivatives, farthest, strict=True))}
     contributions = {n: s * reach[n.partition("@")[0]] for n, s in sigma.items() if n.partition("@")[0] in reach}
     if not any(contributions.values()):
         return None
     method = "sigma of each estimate times the farthest excursion of its variable; correlations left out"
-    return combined(
+    return contributors.combined(
         "heating ratio where the flight was farthest from the reference condition", "", None, contributions, method
     )

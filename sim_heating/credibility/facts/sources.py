@@ -1,7 +1,5 @@
 """Sources and confidences that declared inputs state, and what a result was made from."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Iterable
@@ -101,7 +99,8 @@ def inputs_of_point(vehicle: Vehicle, point: ControlPoint, effects: Iterable[Eff
         *_materials(point.construction, IN.format("materials/{name}.toml")),
         *_table(f"heating ratio of {point.name}", point.ratio, declared.ratio_table),
     ]
-    for effect in (used.effect.name for used in effects):
+    for used in effects:
+        effect = used.effect.name
         if effect == TRANSITION and point.transition is not None:
             inputs.append(_stated("transition", point.transition, transition_place))
         elif effect == RECOMBINATION and point.catalysis is not None:
@@ -129,7 +128,8 @@ def inputs_of_record(record: Record, effects: Iterable[EffectUse]) -> list[Decla
         *_table("heating ratio", record.ratio_table, heating.ratio_table),
         *_table("turbulent heating ratio", record.turbulent, heating.turbulent_file),
     ]
-    for effect in (used.effect.name for used in effects):
+    for used in effects:
+        effect = used.effect.name
         if effect == TRANSITION and heating.transition is not None:
             inputs.append(_stated("transition", heating.transition, f"{IN.format(DECLARATION)}, [heating.transition]"))
         elif effect == RECOMBINATION and heating.catalysis is not None:

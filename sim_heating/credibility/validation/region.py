@@ -9,10 +9,8 @@ An interval is stated with DIGITS digits. A result that is outside of it by less
 larger end is within it: the interval does not resolve that distance.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -216,6 +214,29 @@ class _Coverage:
         inside = self.cost == 0.0
         return [(case, band, where) for (case, band), where in zip(self.bands, inside, strict=True) if np.any(where)]
 
+    @property
+    def relative_errors(self) -> list[float]:
+        """Error over the rise of the temperature [-] of each band that some sample is within."""
+        return [band.rmse_K / case.rise_K if case.rise_K > 0.0 else 1.0 for case, band, _ in self.covering]
+
+    def widen(self, outside: dict[str, list[float]]) -> None:
+        """Widen how far each variable lies below and above all data sets, and add the time in which it does [s]."""
+        for name in self.samples.values:
+            beyond = self.at_nearest(np.array([distances[name] for distances in self.beyond]))
+            if np.any(beyond != 0.0):
+                far = outside.setdefault(name, [0.0, 0.0, 0.0])
+                far[0], far[1] = max(far[0], float(-beyond.min())), max(far[1], float(beyond.max()))
+                far[2] += self.seconds(beyond != 0.0)
+
+
+def _coverages(points: Sequence[Samples], cases: Sequence[ValidationCase]) -> Iterator[_Coverage]:
+    """Coverage of each control point with samples by the data sets of its kind, where there are any."""
+    computed: Distances = {}
+    for samples in points:
+        bands = [(case, band) for case in cases if case.kind == samples.kind for band in case.bands]
+        if bands and len(samples.duration_s):
+            yield _Coverage(samples, bands, [band.beyond(samples, computed) for _, band in bands])
+
 
 def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) -> Extrapolation:
     """Where the points of a result lie against the conditions of data sets.
@@ -228,30 +249,15 @@ def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) ->
     inside, seconds_by_case = 0.0, dict.fromkeys((c.name for c in cases), 0.0)
     outside: dict[str, list[float]] = {}
     errors: list[float] = []
-    computed: Distances = {}
-    for samples in points:
-        bands = [(case, band) for case in cases if case.kind == samples.kind for band in case.bands]
-        if not bands or not len(samples.duration_s):
-            continue
-        coverage = _Coverage(samples, bands, [band.beyond(samples, computed) for _, band in bands])
+    for coverage in _coverages(points, cases):
         inside += coverage.seconds(coverage.at_nearest(coverage.cost) == 0.0)
-        errors += [band.rmse_K / case.rise_K if case.rise_K > 0.0 else 1.0 for case, band, _ in coverage.covering]
+        errors += coverage.relative_errors
         for name, seconds in coverage.seconds_by_case().items():
             seconds_by_case[name] += seconds
-        for name in samples.values:
-            d = coverage.at_nearest(np.array([distances[name] for distances in coverage.beyond]))
-            _note_distance(outside, name, d, samples.duration_s)
+        coverage.widen(outside)
     return Extrapolation(
         min(inside / total, 1.0) if inside < total * (1.0 - 1e-12) else 1.0,
         {n: (max(low, 0.0), max(high, 0.0), t / total) for n, (low, high, t) in outside.items()},
         {n: t / total for n, t in seconds_by_case.items() if t > 0.0},
         max(errors, default=None),
     )
-
-
-def _note_distance(outside: dict[str, list[float]], name: str, beyond: FloatArray, duration_s: FloatArray) -> None:
-    """Widen how far a variable lies below and above all data sets, and add the time in which it does [s]."""
-    if np.any(beyond != 0.0):
-        far = outside.setdefault(name, [0.0, 0.0, 0.0])
-        far[0], far[1] = max(far[0], float(-beyond.min())), max(far[1], float(beyond.max()))
-        far[2] += float(np.sum(duration_s[beyond != 0.0]))

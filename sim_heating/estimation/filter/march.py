@@ -18,18 +18,7 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import D0, LANES, T, node_rows, parameters_at
-from sim_heating.estimation.filter import kernel
-from sim_heating.estimation.filter.arrays import (
-    Blocks,
-    FilterArrays,
-    Noise,
-    Readings,
-    SmootherHistory,
-    State,
-    frozen_gains,
-    step_readings,
-    workspace,
-)
+from sim_heating.estimation.filter import arrays, kernel
 from sim_heating.heating.effects.compiled import unusable_value
 from sim_heating.march.linearised import LinearMarch, Track, initial_profile
 from sim_heating.march.point import PointModel
@@ -216,6 +205,19 @@ class FilterMarch(LinearMarch):
         self.points = tuple(points)
         super().__init__([p.linear() for p in self.points], time_s, histories)
 
+    def _require_finite(self, points: Sequence[FilterTrack], state: arrays.State) -> None:
+        """Refuse a filter that diverged, with the effect that is the cause where one is."""
+        for i, point in enumerate(points):
+            step = state.diverged[self._lane_of[i]]
+            for use in point.model.effects if step else ():
+                if fault := unusable_value(use, self.time_s, self.histories[point.flight]):
+                    raise RunError(f"{point.model.name}: {fault}")
+            if step:
+                raise RunError(
+                    f"{point.model.name}: the filter diverged at {self.time_s[step]:g} s: a temperature fell below "
+                    "0 K or is not a number; the noise declared does not fit the readings"
+                )
+
     def filter(self, points: Sequence[FilterTrack] | None = None, *, keep: bool = False) -> list[Filtered]:
         """Filter all points through their flights and readings.
 
@@ -238,19 +240,18 @@ class FilterMarch(LinearMarch):
         most = max([int(np.max(np.bincount(s), initial=0)) for s in steps])
         state, history = self._state(points, n, m), self._history(points, n, keep)
         readings, after_s = self._readings(points, m), np.zeros(len(points))
-        for i, point in enumerate(points):
-            after_s[self._lane_of[i]] = point.freeze_after_s
+        after_s[self._lane_of] = [point.freeze_after_s for point in points]
         # Frozen gains skip F L and F, from which the smoother's transition is read.
         if keep and np.any(np.isfinite(after_s)):
             raise InputError("filter: a smoother needs the covariance of every step; leave freeze_after_s out")
-        arrays = FilterArrays(
+        filter_arrays = arrays.FilterArrays(
             readings,
             state,
             self._noise(points, n),
-            frozen_gains(after_s, most, n + 1),
+            arrays.frozen_gains(after_s, most, n + 1),
             history,
-            workspace(n, 1 + m + (2 if keep else 1) * (n + 1)),
-            step_readings(most, n + 1, m),
+            arrays.workspace(n, 1 + m + (1 + keep) * (n + 1)),
+            arrays.step_readings(most, n + 1, m),
             np.zeros(n + 1),
             np.zeros((n + 1, n + 1)),
             np.zeros((n + 1, n + 1)),
@@ -260,28 +261,19 @@ class FilterMarch(LinearMarch):
         self._begin([point.initial_K for point in points])
         group, X = self._copies()
         kernel.begin_march(group, self._flights)
-        kernel.filter_steps(group, X, self._groups, self._offsets(1 + m), self._flights, True, arrays, out)
+        kernel.filter_steps(group, X, self._groups, self._offsets(1 + m), self._flights, True, filter_arrays, out)
         self._take_over(group.B)
-        for i, point in enumerate(points):
-            step = state.diverged[self._lane_of[i]]
-            if step:
-                for use in point.model.effects:
-                    if fault := unusable_value(use, self.time_s, self.histories[point.flight]):
-                        raise RunError(f"{point.model.name}: {fault}")
-                raise RunError(
-                    f"{point.model.name}: the filter diverged at {self.time_s[step]:g} s: a temperature fell below "
-                    "0 K or is not a number; the noise declared does not fit the readings"
-                )
+        self._require_finite(points, state)
         self.nominal.check()
         return [self._filtered(i, points[i], steps[i], out, state, history) for i in range(len(points))]
 
-    def _copies(self) -> tuple[LaneGroup, Blocks]:
+    def _copies(self) -> tuple[LaneGroup, arrays.Blocks]:
         """The nominal lanes and three copies of the blocks of the perturbed lanes, for start, middle stage and end.
 
         Copies: the filter disturbs ratios and temperatures, and the points must serve for another march.
         """
         group = self.nominal.lane_group(0)
-        return group._replace(B=group.B.copy()), Blocks(*(self._perturbed_state().copy() for _ in range(3)))
+        return group._replace(B=group.B.copy()), arrays.Blocks(*(self._perturbed_state().copy() for _ in range(3)))
 
     def _take_over(self, B: FloatArray) -> None:
         """Take over the block of a finished march, its ratios undisturbed again."""
@@ -290,7 +282,7 @@ class FilterMarch(LinearMarch):
         B[d0] = nominal[d0]
         nominal[:] = B
 
-    def _state(self, points: Sequence[FilterTrack], n: int, m: int) -> State:
+    def _state(self, points: Sequence[FilterTrack], n: int, m: int) -> arrays.State:
         lanes = len(points)
         P, S, d = np.zeros((lanes, n + 1, n + 1)), np.zeros((lanes, n + 1, m)), np.zeros(lanes)
         for i, point in enumerate(points):
@@ -301,22 +293,22 @@ class FilterMarch(LinearMarch):
             P[lane, nodes, nodes] = point.disturbance.start_sigma**2
             if point.initial_columns is not None:
                 S[lane, :nodes, len(point.names) : point.parameters] = point.initial_columns
-        return State(P, S, d, np.zeros(lanes, dtype=np.int64))
+        return arrays.State(P, S, d, np.zeros(lanes, dtype=np.int64))
 
-    def _noise(self, points: Sequence[FilterTrack], n: int) -> Noise:
+    def _noise(self, points: Sequence[FilterTrack], n: int) -> arrays.Noise:
         lanes = len(points)
         nodes, decay, density = np.zeros((lanes, n)), np.zeros(lanes), np.zeros(lanes)
         for i, point in enumerate(points):
             lane = self._lane_of[i]
             nodes[lane, : point.mesh.nodes] = point.noise_K2_s
             decay[lane], density[lane] = 1.0 / point.disturbance.correlation_s, point.disturbance.density_1_s
-        return Noise(nodes, decay, density)
+        return arrays.Noise(nodes, decay, density)
 
-    def _history(self, points: Sequence[FilterTrack], n: int, keep: bool) -> SmootherHistory:
+    def _history(self, points: Sequence[FilterTrack], n: int, keep: bool) -> arrays.SmootherHistory:
         lanes, steps = len(points), len(self.time_s) - 1 if keep else -1
         count = max(len(p.samples.time_s) for p in points) if keep else 0
         size = (steps + 1, n + 1, n + 1)
-        history = SmootherHistory(
+        history = arrays.SmootherHistory(
             np.zeros((lanes, *size[:2])),
             np.zeros((lanes, *size)),
             np.zeros((lanes, max(steps, 0), *size[1:])),
@@ -329,7 +321,7 @@ class FilterMarch(LinearMarch):
             history.covariance[lane, 0, nodes, nodes] = point.disturbance.start_sigma**2
         return history
 
-    def _readings(self, points: Sequence[FilterTrack], m: int) -> Readings:
+    def _readings(self, points: Sequence[FilterTrack], m: int) -> arrays.Readings:
         lanes, most = len(points), max(1, *(len(p.samples.time_s) for p in points))
         count, node = np.zeros(lanes, dtype=np.int64), np.zeros((lanes, most), dtype=np.int64)
         time_s, gain, bias, variance, lower, upper = np.full((6, lanes, most), np.nan)
@@ -342,10 +334,16 @@ class FilterMarch(LinearMarch):
             lower[lane, columns], upper[lane, columns] = s.lower_K, s.upper_K
             if s.direct is not None:
                 direct[lane, columns, : point.parameters] = s.direct
-        return Readings(count, time_s, node, gain, bias, variance, lower, upper, direct)
+        return arrays.Readings(count, time_s, node, gain, bias, variance, lower, upper, direct)
 
     def _filtered(
-        self, i: int, point: FilterTrack, step: IntArray, out: FloatArray, state: State, history: SmootherHistory
+        self,
+        i: int,
+        point: FilterTrack,
+        step: IntArray,
+        out: FloatArray,
+        state: arrays.State,
+        history: arrays.SmootherHistory,
     ) -> Filtered:
         lane, size = self._lane_of[i], point.mesh.nodes + 1
         read = out[lane, : len(point.samples.time_s)]

@@ -15,8 +15,6 @@ That is the Kalman filter of state and parameters together in the form of Friedl
 docs/theory/filter.md, equations 17 to 21.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -240,6 +238,16 @@ class OnlineFilter(FilterMarch):
         self._columns = self._offsets(1 + m)
         self._mesh_error = MeshError([p.model for p in tracks], [p.mesh for p in tracks]) if corrects_mesh else None
 
+    def _started(
+        self, initial_K: Sequence[FloatArray | None] | None, covariance_K2: Sequence[FloatArray | None] | None
+    ) -> list[FilterTrack]:
+        """The points with temperatures [K] at the start and covariances of them [K2] in place of those declared."""
+        none = [None] * len(self.points)
+        return [
+            replace(p, initial_K=p.initial_K if T_0 is None else T_0, covariance_K2=p.covariance_K2 if C is None else C)
+            for p, T_0, C in zip(self.points, initial_K or none, covariance_K2 or none, strict=True)
+        ]
+
     def begin(
         self,
         time_s: float,
@@ -258,12 +266,7 @@ class OnlineFilter(FilterMarch):
 
         No reading is known. Derived in docs/theory/filter.md, equation 17.
         """
-        start = list(initial_K or [None] * len(self.points))
-        spread = list(covariance_K2 or [None] * len(self.points))
-        points = [
-            replace(p, initial_K=p.initial_K if T_0 is None else T_0, covariance_K2=p.covariance_K2 if C is None else C)
-            for p, T_0, C in zip(self.points, start, spread, strict=True)
-        ]
+        points = self._started(initial_K, covariance_K2)
         self._state_now = self._state(points, *self._size)
         self._parameters.reset()
         for i in range(len(points)):

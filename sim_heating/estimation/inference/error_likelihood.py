@@ -1,7 +1,5 @@
 """Likelihood, innovations and size of the error of a record's model: the algebra of inference/model_error.py."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -317,7 +315,8 @@ def innovations(
     G, noise = record_fit.error_root_K, record_fit.reading_noise_K
     if G is None:
         return list(samples), None
-    mean_K = np.concatenate([s.mean_K for s in samples])
+    means = [s.mean_K for s in samples]
+    mean_K = np.concatenate(means)
     read = np.concatenate([s.channel.intervals.centre_K for s in samples])
     shape, read = read.shape, read.reshape(len(read), -1)
     time_s = np.concatenate([record_fit.sample_s[s.channel.samples] for s in samples])
@@ -344,7 +343,7 @@ def innovations(
         variance[informed] = sigma_left**2 - noise[informed] ** 2
         gain = solve_triangular(lower, across.T, lower=True)
         u, P = u + gain.T @ white, P - gain.T @ gain
-    ends = np.cumsum([len(s.mean_K) for s in samples])[:-1]
+    ends = np.cumsum(list(map(len, means)))[:-1]
     means, sigmas = np.split(predicted.reshape(shape), ends), np.split(np.sqrt(np.maximum(variance, 0.0)), ends)
     channels = [replace(s, mean_K=m, predicted_sigma_K=d) for s, m, d in zip(samples, means, sigmas, strict=True)]
     return channels, ErrorState(u, P)

@@ -6,8 +6,6 @@ effect on all samples, and where its bound over the variable's own excursion is 
 than it is known to, and for which the ratio table has nodes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -271,9 +269,7 @@ def least_determined(
         variables = variables_of(label)
         if not variables:
             continue
-        bound = float(sigma[k] * np.prod(excursion[k, list(variables)]))
-        if not np.isfinite(bound):
-            bound = np.inf
+        bound = float(np.nan_to_num(sigma[k] * np.prod(excursion[k, list(variables)]), nan=np.inf, posinf=np.inf))
         # false for a NaN ratio as well: without a scale no bound is too large
         if bound > worst * ratio[k]:
             worst, name = bound / ratio[k], label
@@ -282,8 +278,9 @@ def least_determined(
             reason = f"its bound over the excursion flown ({flown}) is {bound / ratio[k]:.1f} times the ratio itself"
             if singular:
                 reason = f"{reason}; {singular[0].describe()}"
-    if not name and singular and not np.all(np.isfinite(sigma)):
-        name = [label for label, s in zip(labels, sigma, strict=True) if not np.isfinite(s)][-1]
+    unbounded = np.flatnonzero(~np.isfinite(sigma))
+    if not name and singular and len(unbounded):
+        name = labels[unbounded[-1]]
         reason = singular[0].describe()
     return {name: reason} if name else {}
 

@@ -20,24 +20,10 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from sim_heating.base import files
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import (
-    DIGEST,
-    Extensible,
-    LocatedError,
-    Location,
-    check,
-    digest_matches,
-    display_path,
-    raise_located,
-    read_json,
-    suggestion,
-    with_digest,
-    with_provenance,
-    write_json,
-)
 from sim_heating.base.limits import limit_message, out_of_range
 from sim_heating.base.parameters import AT, MODEL
 
@@ -49,7 +35,7 @@ SLACK = 1e-6
 NOT_A_CORRELATION = "is not a correlation matrix (it has a negative eigenvalue)"
 
 
-class EstimatedParameter(Extensible):
+class EstimatedParameter(files.Extensible):
     """One parameter.
 
     value, sigma : estimate and one standard deviation, corrected for coloured residuals, in `unit`
@@ -85,7 +71,7 @@ class EstimatedParameter(Extensible):
         return f"{prior}, {bounds}" if prior else bounds
 
 
-class Remark(Extensible):
+class Remark(files.Extensible):
     """Something about an estimate that nature does not have, or that its sigma or its errors do not say.
 
     kind       : `emittance above 1`, `negative ratio`, `negative conductivity`, `on its bound`, `far from prior`,
@@ -106,7 +92,7 @@ class Remark(Extensible):
         return f"{self.message}: {self.meaning}"
 
 
-class FixedParameter(Extensible):
+class FixedParameter(files.Extensible):
     """A parameter that was not estimated, at a value that is not the declared one.
 
     value : the value, in `unit`
@@ -116,7 +102,7 @@ class FixedParameter(Extensible):
     unit: str
 
 
-class FitErrors(Extensible):
+class FitErrors(files.Extensible):
     """Pooled residuals [K] of the plain march at the estimated parameters, and their number.
 
     n : number of readings
@@ -138,7 +124,7 @@ class InnovationErrors(FitErrors):
     normalised_rms: float = Field(ge=0.0)
 
 
-class ReferenceCondition(Extensible):
+class ReferenceCondition(files.Extensible):
     """The condition that the derivatives are about ([deg], log10 Re [-])."""
 
     alpha_deg: float
@@ -153,7 +139,7 @@ class ReferenceCondition(Extensible):
         problems = [
             ((name,), limit_message(name, value)) for name, value in values.items() if out_of_range(name, value)
         ]
-        raise_located(problems)
+        files.raise_located(problems)
         return self
 
     def values(self) -> FloatArray:
@@ -164,7 +150,7 @@ class ReferenceCondition(Extensible):
         return np.array([getattr(self, name) for name in RATIO_VARIABLES])
 
 
-class Excursion(Extensible):
+class Excursion(files.Extensible):
     """Least and greatest value of a variable over the fitted samples ([deg], log10 Re [-]).
 
     min, max : least and greatest value
@@ -174,7 +160,7 @@ class Excursion(Extensible):
     max: float
 
 
-class FittedEffect(Extensible):
+class FittedEffect(files.Extensible):
     """An effect of the fitted model with all its values, estimated or fixed.
 
     control_point : to which it belongs, in a fit of several
@@ -187,7 +173,7 @@ class FittedEffect(Extensible):
     control_point: str | None = None
 
 
-class FittedStart(Extensible):
+class FittedStart(files.Extensible):
     """Where the march of a fit began that did not begin with the record.
 
     time_s  : time [s]
@@ -200,11 +186,11 @@ class FittedStart(Extensible):
     @model_validator(mode="after")
     def _check(self) -> FittedStart:
         wrong = [i for i, row in enumerate(self.profile) if len(row) != 2]
-        raise_located([(("profile", i), f"{self.profile[i]} is not [depth_m, T_K]") for i in wrong])
+        files.raise_located([(("profile", i), f"{self.profile[i]} is not [depth_m, T_K]") for i in wrong])
         return self
 
 
-class FittedError(Extensible):
+class FittedError(files.Extensible):
     """The error of the model that was integrated out of the likelihood: of the heating, as large as the readings say.
 
     relative      : standard deviation over the heating
@@ -217,7 +203,7 @@ class FittedError(Extensible):
     correlation_s: float = Field(gt=0.0)
 
 
-class Estimate(Extensible):
+class Estimate(files.Extensible):
     """Contents of estimate.json.
 
     records             : directories of the records, as given to the command
@@ -281,26 +267,26 @@ class Estimate(Extensible):
 
     @model_validator(mode="after")
     def _check(self) -> Estimate:
-        raise_located([*self._parameter_problems(), *self._correlation_problems(), *self._segment_problems()])
+        files.raise_located([*self._parameter_problems(), *self._correlation_problems(), *self._segment_problems()])
         # a table update weighs the estimate by its covariance, which must not have a negative variance in any direction
         if not is_correlation(self.correlation_matrix(tuple(self.parameters))):
-            raise LocatedError((("correlation",), NOT_A_CORRELATION))
+            raise files.LocatedError((("correlation",), NOT_A_CORRELATION))
         return self
 
-    def _parameter_problems(self) -> list[tuple[Location, str]]:
+    def _parameter_problems(self) -> list[tuple[files.Location, str]]:
         """Ratio parameters that do not exist, or have another unit."""
         ratio_names = [name for name in MODEL if name.startswith("ratio.")]
-        problems: list[tuple[Location, str]] = []
+        problems: list[tuple[files.Location, str]] = []
         for label, p in self.parameters.items():
             name = label.partition(AT)[0]
             if name.startswith("ratio.") and name not in MODEL:
-                problems.append((("parameters", name), f"unknown parameter{suggestion(name, ratio_names)}"))
+                problems.append((("parameters", name), f"unknown parameter{files.suggestion(name, ratio_names)}"))
             elif name in MODEL and p.unit != MODEL[name].unit:
                 rule = f'"{p.unit}" is not the unit of {name}; it is "{MODEL[name].unit}"'
                 problems.append((("parameters", name, "unit"), rule))
         return problems
 
-    def _segment_problems(self) -> Iterator[tuple[Location, str]]:
+    def _segment_problems(self) -> Iterator[tuple[files.Location, str]]:
         for key, entries in (("segments", self.segments), ("starts", self.starts)):
             if entries is not None and len(entries) != len(self.records):
                 yield (key,), f"has {len(entries)} entries for {len(self.records)} records"
@@ -309,8 +295,8 @@ class Estimate(Extensible):
                 if len(s) != 2 or s[0] > s[1]:
                     yield ("segments", i, j), f"{s} is not a segment; give [start_s, end_s] with start before end"
 
-    def _correlation_problems(self) -> list[tuple[Location, str]]:
-        problems: list[tuple[Location, str]] = []
+    def _correlation_problems(self) -> list[tuple[files.Location, str]]:
+        problems: list[tuple[files.Location, str]] = []
         for pair, rho in self.correlation.items():
             names = pair.split(PAIR)
             unknown = [n for n in names if n not in self.parameters]
@@ -397,20 +383,20 @@ def read_estimate(path: str | os.PathLike[str]) -> Estimate:
              after it was written, or carries no digest by which that could be seen
     """
     file = estimate_path(path)
-    data, name = read_json(file), display_path(file)
+    data, name = files.read_json(file), files.display_path(file)
     # both are in output directories and are easily confused
     if str(data.get("format")).startswith("closure-report/"):
         raise InputError(f"{name}: is a closure report; give an estimate.json")
-    estimate = check({k: v for k, v in data.items() if k != DIGEST}, Estimate, name)
-    if DIGEST not in data:
+    estimate = files.check({k: v for k, v in data.items() if k != files.DIGEST}, Estimate, name)
+    if files.DIGEST not in data:
         raise InputError(
-            f"{name}: has no `{DIGEST}`, by which a change of the file could be seen (an earlier version wrote none); "
-            "estimate again"
+            f"{name}: has no `{files.DIGEST}`, by which a change of the file could be seen (an earlier version wrote "
+            "none); estimate again"
         )
-    if not digest_matches(data):
+    if not files.digest_matches(data):
         raise InputError(
-            f"{name}: was changed after it was written (its content is not that of its `{DIGEST}`); undo the change, "
-            "or estimate again"
+            f"{name}: was changed after it was written (its content is not that of its `{files.DIGEST}`); undo the "
+            "change, or estimate again"
         )
     return estimate
 
@@ -423,7 +409,7 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
     optional = (*of_records, "program", "provenance", "fixed", "ties", "remarks", "model_error", "finding")
     data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
     data = {k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}
-    write_json(path, with_digest(with_provenance(data)))
+    files.write_json(path, files.with_digest(files.with_provenance(data)))
 
 
 def excursions(conditions: Sequence[FloatArray]) -> dict[str, Excursion]:

@@ -5,8 +5,6 @@ samples (estimation/filter/smoother.py), all as indications of the sensors. Wher
 its smoothed history.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Output files of a fit: estimate.json, temperatures and pictures; trend.csv of short segments."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -18,13 +16,8 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.design.information import sensitivity_to_effort
 from sim_heating.estimation.fit import FitResult, rms_normalised_residual
+from sim_heating.estimation.inference import residual_tests
 from sim_heating.estimation.inference.observability import fitted_rows
-from sim_heating.estimation.inference.residual_tests import (
-    HypothesisTest,
-    SensorResiduals,
-    chi_square,
-    sensor_residuals,
-)
 from sim_heating.estimation.report.estimate_file import (
     NAME,
     Estimate,
@@ -62,11 +55,32 @@ def _parameters(fitted: FitResult) -> dict[str, dict[str, Any]]:
     return entries
 
 
+def _predicted(fitted: FitResult) -> dict[str, Any] | None:
+    """Errors before the fit; None where a record lacks a heating ratio."""
+    if any(record_fit.record.lacks_ratio for record_fit in fitted.problem.record_fits):
+        return None
+    return {segments: _errors(fitted.before, segments) for segments in ("fit", "holdout")}
+
+
+def _control_point(records: Sequence[Record]) -> str | None:
+    """The control point of all records; None where they are of several."""
+    points = {r.declared.control_point for r in records}
+    return points.pop() if len(points) == 1 else None
+
+
+def _digests(records: Sequence[Record]) -> dict[str, str]:
+    return {str(r.directory): record_digest(r) for r in records if r.directory.is_dir()}
+
+
+def _names_of_labelled(records: Sequence[Record]) -> list[str] | None:
+    """Names of records of which one has a label, which its directory does not say; else None."""
+    return [r.name for r in records] if any(r.label for r in records) else None
+
+
 def estimate_contents(fitted: FitResult) -> Estimate:
     """The contents of estimate.json."""
     problem = fitted.problem
     records = [record_fit.record for record_fit in problem.record_fits]
-    points = {r.declared.control_point for r in records}
     return Estimate.model_validate(
         {
             "format": "estimate/1",
@@ -82,9 +96,7 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "noise_floor_K": noise_floor_K(fitted),
             "fit": _errors(fitted.after, "fit"),
             "holdout": _errors(fitted.after, "holdout"),
-            "predicted": None
-            if any(r.lacks_ratio for r in records)
-            else {segments: _errors(fitted.before, segments) for segments in ("fit", "holdout")},
+            "predicted": _predicted(fitted),
             "samples": sample_counts(fitted),
             "profiles": {name: profile.as_json() for name, profile in fitted.profiles.items()},
             "outliers": [outlier.as_json() for outlier in fitted.outliers],
@@ -95,16 +107,16 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "statistics": residual_statistics(fitted),
             "sensitivity_to_effort": _sensitivity_to_effort(fitted),
             "warnings": list(fitted.warnings),
-            "control_point": points.pop() if len(points) == 1 else None,
+            "control_point": _control_point(records),
             "vehicle": records[0].declared.vehicle,
             "segments": [_segments(r) for r in records],
             "starts": _starts(fitted),
             "excursions": excursions([condition_history(r.conditions)[fitted_rows(r), :5] for r in records]),
-            "inputs": {str(r.directory): record_digest(r) for r in records if r.directory.is_dir()},
+            "inputs": _digests(records),
             "effects": _effects(fitted),
             "program": f"sim-heating {package_version()}",
             "credibility": fitted.credibility.as_json(),
-            "record_names": [r.name for r in records] if any(r.label for r in records) else None,
+            "record_names": _names_of_labelled(records),
             "remarks": remarks(fitted),
             "model_error": _model_error(fitted),
         }
@@ -227,12 +239,12 @@ def noise_floor_K(fitted: FitResult) -> float | None:
     return float(np.sqrt(total / count)) if count and np.isfinite(total) else None
 
 
-def sensor_residual_tests(fitted: FitResult) -> list[SensorResiduals]:
+def sensor_residual_tests(fitted: FitResult) -> list[residual_tests.SensorResiduals]:
     """Normalised residuals of every fitted sensor, and their tests; the random draws are the same every time."""
     rng = np.random.default_rng(0)
     is_joint = len(fitted.problem.record_fits) > 1
     return [
-        sensor_residuals(
+        residual_tests.sensor_residuals(
             f"{s.record_fit.record.name}/{s.channel.sensor.name}" if is_joint else s.channel.sensor.name,
             s.time_s,
             s.channel.intervals,
@@ -250,7 +262,7 @@ def residual_statistics(fitted: FitResult) -> dict[str, Any]:
     noise = [s.sigma_K for s in fitted.samples()]
     every = np.concatenate([r.residual for r in residuals])
     return {
-        "chi_square": _test(chi_square(every, float(len(fitted.labels)))),
+        "chi_square": _test(residual_tests.chi_square(every, float(len(fitted.labels)))),
         "sensors": {
             r.name: {
                 "n": r.n,
@@ -265,7 +277,7 @@ def residual_statistics(fitted: FitResult) -> dict[str, Any]:
     }
 
 
-def _test(test: HypothesisTest | None) -> dict[str, float] | None:
+def _test(test: residual_tests.HypothesisTest | None) -> dict[str, float] | None:
     return None if test is None else {"statistic": test.statistic, "dof": test.dof, "p_value": test.p_value}
 
 

@@ -207,20 +207,23 @@ class Futures:
         trim : differences of the control surfaces that stay [deg]
         """
         begin = path.matching_time_s(frame.values)
-        there = {n: float(v[0]) for n, v in path.at(np.array([begin])).items() if n != "time_s"}
-        stays, returns = dict(trim), {}
-        apart = {n: frame.values.get(n, 0.0) - there[n] for n in there if n in frame.values or n == "jets"}
+        used = {*frame.values, "jets"} - {"time_s"}
         with_rate = {*COMMANDED, *(self.rates.keys() & {*SURFACES})}
-        commanded = {n: d for n, d in apart.items() if n in with_rate}
-        for name, difference in commanded.items():
-            returns[name] = (difference, max(abs(difference) / self.rates[name], SHORTEST_RETURN_S))
-        longest = max((over for value, over in returns.values() if value != 0.0), default=SHORTEST_RETURN_S)
-        for name in (n for n in apart if n not in commanded):
-            if name in SURFACES:
-                returns[name] = (apart[name] - trim.get(name, 0.0), longest)
+        stays, returns, others = dict(trim), {}, []
+        for name, values in path.at(np.array([begin])).items():
+            if name not in used:
+                continue
+            planned = float(values[0])
+            difference = frame.values.get(name, 0.0) - planned
+            if name in with_rate:
+                returns[name] = (difference, max(abs(difference) / self.rates[name], SHORTEST_RETURN_S))
+            elif name in SURFACES:
+                others.append((name, difference - trim.get(name, 0.0)))
             else:
-                is_ratio = name in SHARES and there[name] > 0.0
-                stays[name] = frame.values[name] / there[name] if is_ratio else apart[name]
+                is_ratio = name in SHARES and planned > 0.0
+                stays[name] = frame.values[name] / planned if is_ratio else difference
+        longest = max((over for value, over in returns.values() if value != 0.0), default=SHORTEST_RETURN_S)
+        returns |= {name: (difference, longest) for name, difference in others}
         return Course(path, begin, frame.time_s, stays, returns)
 
     def after(self, frame: Frame) -> dict[str, Future]:

@@ -11,8 +11,6 @@ K is a smooth error of unit variance; sigma its standard deviation, that of T at
 least. Derived in docs/theory/clocks_and_starts.md, equations 4 and 8.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -20,13 +18,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.block import H_REF, Q_ADD, RECOVERY_ENTHALPY
 from sim_heating.base.parallel.threads import one_thread
-from sim_heating.estimation.starts import (
-    IMPOSING_CP,
-    IMPOSING_FILM,
-    START_SIGMA_K,
-    smooth_directions,
-    with_imposed_surface,
-)
+from sim_heating.estimation import starts
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel, initial_temperatures
 from sim_heating.thermal.mesh import Mesh, diffusion_depths
@@ -74,24 +66,24 @@ def start_of_heated(
     with one_thread():
         mean = weight @ T
         spread = np.sqrt(weight)[:, np.newaxis] * (T - mean)
-        error_K = max(START_SIGMA_K, float(np.max(np.abs(mean[nodes] - read))))
-        root = error_K * smooth_directions(diffusion_depths(model.construction, mesh))
+        error_K = max(starts.START_SIGMA_K, float(np.max(np.abs(mean[nodes] - read))))
+        root = error_K * starts.smooth_directions(diffusion_depths(model.construction, mesh))
         return mean, spread.T @ spread + root @ root.T
 
 
 def reading_sigma_K(rise_K: float) -> float:
     """Standard deviation [K] by which these histories miss a thermocouple, after a rise of the surface [K]:
     docs/theory/clocks_and_starts.md, equation 8."""
-    return float(np.hypot(START_SIGMA_K, READING_SHARE * abs(rise_K)))
+    return float(np.hypot(starts.START_SIGMA_K, READING_SHARE * abs(rise_K)))
 
 
 def _conducted(model: PointModel, mesh: Mesh, declared_K: float, rise_K: float, conditions: FloatArray) -> FloatArray:
     """(history, node) temperatures at the end of all histories [K]."""
-    wall, fraction = with_imposed_surface(model), np.linspace(0.0, 1.0, STEPS + 1)
+    wall, fraction = starts.with_imposed_surface(model), np.linspace(0.0, 1.0, STEPS + 1)
     shapes = np.array([np.interp(fraction, *curve) for curve in CURVES])
     histories = np.tile(conditions, (len(CURVES), len(fraction), 1))
-    histories[..., H_REF], histories[..., Q_ADD] = IMPOSING_FILM, 0.0
-    histories[..., RECOVERY_ENTHALPY] = IMPOSING_CP * np.maximum(declared_K + rise_K * shapes, 1.0)
+    histories[..., H_REF], histories[..., Q_ADD] = starts.IMPOSING_FILM, 0.0
+    histories[..., RECOVERY_ENTHALPY] = starts.IMPOSING_CP * np.maximum(declared_K + rise_K * shapes, 1.0)
     ensemble = Ensemble([wall] * len(CURVES), [mesh] * len(CURVES))
     temperatures_K = []
     for duration_s in DURATIONS_S:

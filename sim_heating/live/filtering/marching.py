@@ -1,7 +1,5 @@
 """March of all filters over one step with its readings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 
@@ -9,16 +7,9 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
+from sim_heating.estimation.filter import online
 from sim_heating.estimation.filter.lagging import LaggingFilter, online_filter
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack, Samples
-from sim_heating.estimation.filter.online import (
-    Innovations,
-    OnlineFilter,
-    PointReadings,
-    Prior,
-    no_readings,
-    readings_of_filter,
-)
 from sim_heating.estimation.inference.likelihood import middle_K
 from sim_heating.live.filtering.estimates import LiveOptions
 from sim_heating.live.filtering.parameters import default_prior, is_of_march
@@ -49,7 +40,7 @@ class StepMarch:
 
     def march(
         self,
-        filters: Sequence[OnlineFilter],
+        filters: Sequence[online.OnlineFilter],
         begin_s: float,
         first_vectors: FloatArray,
         end_s: float,
@@ -80,11 +71,13 @@ class StepMarch:
             first = k * LANES
             history = histories[first : first + LANES]
             of_filter = np.flatnonzero((readings.point >= first) & (readings.point < first + LANES))
-            lane_readings = readings_of_filter(readings, of_filter, first, f.most_parameters)
+            lane_readings = online.readings_of_filter(readings, of_filter, first, f.most_parameters)
             if isinstance(f, LaggingFilter):
                 lane_readings = f.behind_lags(time_s, history, lane_readings, number[of_filter])
 
-            def take_step(r: PointReadings, f: OnlineFilter = f, history: FloatArray = history) -> Innovations:
+            def take_step(
+                r: online.PointReadings, f: online.OnlineFilter = f, history: FloatArray = history
+            ) -> online.Innovations:
                 return f.gap(time_s, history, r, gap_error) if gap_error else f.step(time_s, history, r)
 
             if np.any(doubtful[of_filter]):
@@ -103,7 +96,7 @@ class StepMarch:
             self._linearise(filters, begin_s, end_s)
         return columns[np.isfinite(columns[:, 2])]
 
-    def _linearise(self, filters: Sequence[OnlineFilter], begin_s: float, end_s: float) -> None:
+    def _linearise(self, filters: Sequence[online.OnlineFilter], begin_s: float, end_s: float) -> None:
         """Linearise again those points whose time has come, one after the other over `linearise_s`."""
         every_s = self._options.linearise_s
         if not math.isfinite(every_s):
@@ -116,8 +109,8 @@ class StepMarch:
 
 
 def make_filters(
-    points: Sequence[LivePoint], sensors: SensorTable, priors: Mapping[str, Prior], options: LiveOptions
-) -> list[OnlineFilter]:
+    points: Sequence[LivePoint], sensors: SensorTable, priors: Mapping[str, online.Prior], options: LiveOptions
+) -> list[online.OnlineFilter]:
     """Filters of all points, LANES points in each."""
     tracks, of_tracks = zip(*(_track(p, sensors.names[i], priors, options) for i, p in enumerate(points)), strict=True)
     return [
@@ -126,20 +119,20 @@ def make_filters(
     ]
 
 
-def warm_up(filters: Sequence[OnlineFilter]) -> None:
+def warm_up(filters: Sequence[online.OnlineFilter]) -> None:
     """Compile, or read from the cache, all that a step runs, so that no sample waits for it."""
     for f in filters:
         still = np.zeros((len(f.points), N_CONDITIONS))
         still[:, P_SURFACE] = 1000.0
         f.begin(0.0, still, [np.full(p.mesh.nodes, 300.0) for p in f.points])
-        f.step(np.array([1.0]), still[:, np.newaxis], no_readings(max(p.parameters for p in f.points)))
+        f.step(np.array([1.0]), still[:, np.newaxis], online.no_readings(max(p.parameters for p in f.points)))
         f.linearise_again(0)
         f.estimates()
 
 
 def _track(
-    point: LivePoint, names: tuple[str, ...], priors: Mapping[str, Prior], options: LiveOptions
-) -> tuple[FilterTrack, dict[str, Prior]]:
+    point: LivePoint, names: tuple[str, ...], priors: Mapping[str, online.Prior], options: LiveOptions
+) -> tuple[FilterTrack, dict[str, online.Prior]]:
     """A point as the filter takes it, and the priors of its parameters."""
     march = tuple(n for n in names if is_of_march(n))
     nothing = np.zeros(0)

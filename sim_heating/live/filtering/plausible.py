@@ -4,9 +4,8 @@ A frame whose values are impossible by themselves is refused where it is mapped.
 altitude, density and time, is seen over a stretch of them; a link goes on, as a flight cannot be refused.
 """
 
-from __future__ import annotations
-
 from collections import deque
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +51,7 @@ class FrameRemarks:
         for frame in sorted(self._frames, key=lambda f: f.time_s):
             by_time.setdefault(frame.time_s, frame)
         frames = list(by_time.values())
-        names = set(frames[0].values).intersection(*(f.values for f in frames))
+        names = set(frames[0].values).intersection(*map(attrgetter("values"), frames))
         if not names.issuperset(NEEDED):
             return []
         columns = {name: np.array([f.values[name] for f in frames]) for name in frames[0].values if name in names}

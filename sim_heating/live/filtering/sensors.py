@@ -1,16 +1,15 @@
 """Sensors of all points of a link: their readings as the filter takes them, and what they ought to show."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.filter.lagging import Lagging, LaggingFilter
@@ -43,6 +42,11 @@ class Recorders(NamedTuple):
     largest_count: FloatArray
 
 
+def _noise(sensor: Sensor) -> tuple[float, float]:
+    """Standard deviation of the noise of a sensor [K], and its part that grows with the reading [-]."""
+    return max(sensor.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(sensor)), sensor.noise_per_K
+
+
 def _recorder(sensor: Sensor) -> tuple[float, float, float]:
     """Foot of the range and step of a sensor's recorder [K], and its largest count [-]; nan where it has none."""
     if sensor.bits is None or sensor.range_K is None:
@@ -56,28 +60,49 @@ class SensorTable:
     def __init__(self, points: Sequence[LivePoint], names: Sequence[str]) -> None:
         self.point_and_name = [(p.name, s.name) for p in points for s in p.sensors]
         self.numbers = {key: n for n, key in enumerate(self.point_and_name)}
-        self.sensors = [s for p in points for s in p.sensors]
-        self.point = np.array([i for i, p in enumerate(points) for _ in p.sensors], dtype=np.int64)
-        self.node = np.array([n for p in points for n in p.mesh.sensors], dtype=np.int64)
-        sigma = [max(s.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(s)) for s in self.sensors]
-        self.sigma_K, self.per_K = np.array(sigma), np.array([s.noise_per_K for s in self.sensors])
+        of_points = [p.sensors for p in points]
+        self.sensors = list(chain.from_iterable(of_points))
+        self.point = np.repeat(np.arange(len(points)), list(map(len, of_points)))
+        self.node = np.array(list(chain.from_iterable(p.mesh.sensors for p in points)), dtype=np.int64)
+        self.sigma_K, self.per_K = np.array([_noise(s) for s in self.sensors]).reshape(-1, 2).T.copy()
         recorders = np.array([_recorder(s) for s in self.sensors]).reshape(-1, 3)
         self.recorders = Recorders(*recorders.T.copy())
-        self.tau_s = np.array([s.tau_s for s in self.sensors])
-        self.curved = [n for n, s in enumerate(self.sensors) if s.calibration is not None]
-        self.used = np.array([s.used for s in self.sensors])
-        self.of_point = [[n for n, i in enumerate(self.point) if i == k] for k in range(len(points))]
+        self.of_point = [np.flatnonzero(self.point == k).tolist() for k in range(len(points))]
         self.names = [self._names_of(p, names) for p in points]
         self._begun: dict[int, float] = {}
-        self._terms = [
-            direct_terms(s, self.names[self.point[n]], np.ones(1), 1.0, np.zeros(1), np.ones(1))[0]
-            for n, s in enumerate(self.sensors)
+
+    @cached_property
+    def tau_s(self) -> FloatArray:
+        """(sensor,) time constants [s]."""
+        return np.array([s.tau_s for s in self.sensors])
+
+    @cached_property
+    def curved(self) -> list[int]:
+        """Numbers of the sensors with a calibration."""
+        return [n for n, s in enumerate(self.sensors) if s.calibration is not None]
+
+    @cached_property
+    def used(self) -> BoolArray:
+        """(sensor,) whether a sensor is used."""
+        return np.array([s.used for s in self.sensors])
+
+    @cached_property
+    def _terms(self) -> list[FloatArray]:
+        """Of each sensor (parameter, 3) what a reading has of each parameter directly, as `direct_terms`."""
+        return [
+            direct_terms(s, self.names[i], np.ones(1), 1.0, np.zeros(1), np.ones(1))[0]
+            for i, s in zip(self.point, self.sensors, strict=True)
         ]
 
     @cached_property
     def _any_terms(self) -> bool:
         """Whether an error of a sensor of its own is estimated."""
         return any(np.any(t) for t in self._terms)
+
+    @cached_property
+    def _are_plain(self) -> bool:
+        """Whether each sensor shows the temperature of its node."""
+        return not (self._any_terms or self.curved or np.any(self.tau_s))
 
     @staticmethod
     def _names_of(point: LivePoint, names: Sequence[str]) -> tuple[str, ...]:
@@ -152,7 +177,7 @@ class SensorTable:
     def predicted(self, i: int, point: LivePoint, state: PointEstimate, f: OnlineFilter) -> dict[str, SensorEstimate]:
         """What each sensor of a point ought to show, with its standard deviation; f : filter of the point."""
         estimates = {}
-        if not self._any_terms and not self.curved and not np.any(self.tau_s):
+        if self._are_plain:
             nodes = list(point.mesh.sensors)
             T_K, of_point = state.temperature_K[nodes], self.of_point[i]
             noise = np.hypot(self.sigma_K[of_point], self.per_K[of_point] * T_K)

@@ -15,8 +15,6 @@ entry, and what lies between is reported (`Skipped`). A link that goes on from a
 aside and goes on in one of the sound entries.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -346,7 +344,11 @@ def require_usable(
             f"{name}: holds {flight} that was not ended; go on with the command that began it, or name another "
             "directory by --out"
         )
-    if apart := differences((head.link, head.means), (link, means)):
+    _require_same_link(name, differences((head.link, head.means), (link, means)))
+
+
+def _require_same_link(name: str, apart: Sequence[str]) -> None:
+    if apart:
         shown = "; ".join(apart if len(apart) <= 4 else [*apart[:4], f"and {len(apart) - 4} more"])
         raise InputError(
             f"{name}: was begun with another link: {shown}. Go on with the link that began it, or name another "

@@ -4,8 +4,7 @@ Times are put in order, and of samples of one time the first that came counts. W
 stretch between two jumps is the record: times before and after a jump are not of one clock. The journal keeps all.
 """
 
-from __future__ import annotations
-
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -62,10 +61,11 @@ class Stretch:
         else:
             self.readings.setdefault((sample.point, sample.sensor), {}).setdefault(sample.time_s, sample.value_K)
 
-    def add_all(self, samples: Iterable[Sample]) -> None:
-        """Add several."""
+    def add_all(self, samples: Iterable[Sample], low_s: float = -math.inf, high_s: float = math.inf) -> None:
+        """Add those of several whose times are in a range [s]."""
         for sample in samples:
-            self.add(sample)
+            if low_s <= sample.time_s <= high_s:
+                self.add(sample)
 
 
 def samples_of(journal: str | os.PathLike[str], link: Link) -> Iterable[Sample]:
@@ -106,17 +106,17 @@ def stretches(samples: Iterable[Sample], link: Link) -> list[Stretch]:
             if not is_gap:
                 parts.append(Stretch())
             low, high = jump.to_s - settings.jump_s, sample.time_s + settings.jump_s
-            parts[-1].add_all(s for s in (*waiting, sample) if low <= s.time_s <= high)
+            parts[-1].add_all((*waiting, sample), low, high)
             waiting = []
         elif placed in (Placed.TOO_LATE, Placed.WAITING):
             waiting.append(sample)  # late, or the first on another clock: the next frame decides
         elif placed is not Placed.DOUBLED:
             parts[-1].add(sample)
             if isinstance(sample, Frame):
-                parts[-1].add_all(s for s in waiting if s.time_s <= sample.time_s)
+                parts[-1].add_all(waiting, high_s=sample.time_s)
                 waiting = []
         timeline.forget(timeline.newest_s - settings.lateness_s)
-    parts[-1].add_all(s for s in waiting if s.time_s <= timeline.newest_s)  # late ones that no frame came behind
+    parts[-1].add_all(waiting, high_s=timeline.newest_s)  # late ones that no frame came behind
     return parts
 
 

@@ -1,7 +1,5 @@
 """What all decoders share: from a body to a message, and values as numbers or texts by field."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Protocol
 

@@ -15,8 +15,6 @@ One that does not come within the first seconds is derived from those that do, a
 is sent is never replaced: where the field comes after all, it is used from then on.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -137,6 +135,11 @@ def _first_record(link: Link) -> Record | None:
     return link.records[link.names[0]] if link.records else None
 
 
+def _require_density(q_Pa: float, speed_m_s: float) -> None:
+    if speed_m_s <= 0.0 or q_Pa <= 0.0:
+        raise InputError(f"q_Pa = {q_Pa:g} at {speed_m_s:g} m/s gives no density")
+
+
 class ConditionFields:
     """Which fields of a link are flight conditions, and which columns follow from them.
 
@@ -158,11 +161,12 @@ class ConditionFields:
         has_only_q = "q_Pa" in self._read and "rho_kg_m3" not in {*self._read, *constants}
         self._derived: tuple[str, ...] = ("rho_kg_m3",) if has_only_q else ()
         self._seen: set[str] = set()
-        record = _first_record(link)
-        flown = {} if record is None else record.conditions.columns
-        self._length_m = None if record is None else implied_length_m(flown)
-        self._pressure = None if record is None else _pressure_of(record)
-        self._of_record = {n: float(flown[n][0]) for n in HELD if n in flown and np.ptp(flown[n]) == 0.0}
+        self._length_m: float | None = None
+        self._pressure, self._of_record = None, dict[str, float]()
+        if (record := _first_record(link)) is not None:
+            flown = record.conditions.columns
+            self._length_m, self._pressure = implied_length_m(flown), _pressure_of(record)
+            self._of_record = {n: float(flown[n][0]) for n in HELD if n in flown and np.ptp(flown[n]) == 0.0}
 
     @property
     def fields(self) -> dict[str, str]:
@@ -195,19 +199,19 @@ class ConditionFields:
         return flight_field.column in SOURCES and is_open
 
     def _use(self, flight_field: FlightField) -> None:
-        column, before = flight_field.column, self._read.get(flight_field.column)
-        if flight_field.name != column and before is not None and (before.field != column or column in self._seen):
+        name, column = flight_field.name, flight_field.column
+        before = None if name == column else self._read.get(column)
+        if before is not None and (before.field != column or column in self._seen):
             self.notes.append(
-                f"`{flight_field.name}` may be {column} as well as `{before.field}`, which is used; name one in "
-                "[conditions]"
+                f"`{name}` may be {column} as well as `{before.field}`, which is used; name one in [conditions]"
             )
             return
-        self._read[column] = _Column(column, flight_field.name, flight_field.convert, *_limits(column))
-        if flight_field.name != column and column in self._needed:
-            self.notes.append(f"{column} from `{flight_field.name}`, in {flight_field.unit or '1'}")
+        self._read[column] = _Column(column, name, flight_field.convert, *_limits(column))
+        if name != column and column in self._needed:
+            self.notes.append(f"{column} from `{name}`, in {flight_field.unit or '1'}")
         if column in self._derived:
             self._derived = tuple(n for n in self._derived if n != column)
-            self.notes.append(f"`{flight_field.name}` is sent: {column} is no longer derived")
+            self.notes.append(f"`{name}` is sent: {column} is no longer derived")
 
     def values(self, message: Mapping[str, float | str]) -> dict[str, float]:
         """Columns that a message has, in the unit that the name ends in.
@@ -239,15 +243,19 @@ class ConditionFields:
         if not set(absent) <= set(derived.columns):
             return False
         self.is_settled, self._derived = True, tuple(dict.fromkeys((*self._derived, *absent)))
-        also = [n for n in self._read if n not in self._needed]
-        self._sources = tuple(n for n in also if absent and n in latest and n in SOURCES)
-        self._read = {n: c for n, c in self._read.items() if n not in also or n in (*self._sources, *ACCOMPANYING)}
         if absent:
-            stated = {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(latest)
-            self.has_model_density = bool(derived.of_model) and not stated
-            grade = "; confidence of the conditions C" if self.has_model_density else ""
-            self.notes.append(f"{', '.join(absent)} not sent: {'; '.join(derived.notes)}{grade}")
+            self._note_absent(absent, derived, latest)
+        kept = {*self._needed, *self._sources, *ACCOMPANYING}
+        self._read = {n: c for n, c in self._read.items() if n in kept}
         return True
+
+    def _note_absent(self, absent: Sequence[str], derived: DerivedConditions, latest: Mapping[str, float]) -> None:
+        """Keep what absent columns follow from, and say how they do."""
+        self._sources = tuple(n for n in self._read if n not in self._needed and n in latest and n in SOURCES)
+        stated = {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(latest)
+        self.has_model_density = bool(derived.of_model) and not stated
+        grade = "; confidence of the conditions C" if self.has_model_density else ""
+        self.notes.append(f"{', '.join(absent)} not sent: {'; '.join(derived.notes)}{grade}")
 
     def complete(self, latest: Mapping[str, float]) -> dict[str, float]:
         """All columns of a frame: those that came, constants, and those that follow.
@@ -258,9 +266,8 @@ class ConditionFields:
         values = {n: v for n, v in latest.items() if n in used} | self._constants
         if not self._derived:
             return values
-        V, q = values.get("velocity_m_s", 1.0), values.get("q_Pa", 1.0)
-        if "rho_kg_m3" in self._derived and (V <= 0.0 or q <= 0.0) and "q_Pa" in values:
-            raise InputError(f"q_Pa = {q:g} at {V:g} m/s gives no density")
+        if "rho_kg_m3" in self._derived and "q_Pa" in values:
+            _require_density(values["q_Pa"], values.get("velocity_m_s", 1.0))
         derived = self._follow(latest, self._derived).columns
         if lacking := [name for name in self._derived if name not in derived]:
             raise InputError(f"{', '.join(lacking)} does not follow from what is sent")

@@ -1,7 +1,5 @@
 """CCSDS space packets, described by an XTCE document, through space-packet-parser."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate, takewhile
@@ -14,6 +12,8 @@ from sim_heating.base.files import display_path, raise_problems, read_text, repe
 from sim_heating.base.files.xml import check_xml
 from sim_heating.live.sources.extra import need_extra
 
+SIZES = (None, *range(1, 65))
+"""Bits of a number that is read; None where they are not known."""
 HEADER = 6
 """Bytes of a primary header; its last two hold the length of what follows less one (CCSDS 133.0-B-2, 4.1.3.5)."""
 
@@ -86,19 +86,21 @@ def _repeated(content: bytes) -> Iterator[str]:
     """What an XTCE document may define once and defines again, of which the library takes the last, or both."""
     for element in ElementTree.fromstring(content).iter():
         kind = _local(element.tag)
-        names = [(_local(child.tag), child.get("name")) for child in element]
         if kind.endswith("Set"):
-            twice = repeated_name([name for _, name in names if name is not None])
-            if twice is not None:
-                yield f"{kind} defines `{twice}` twice; remove one"
+            names, has = _stated(element, "name"), f"{kind} defines"
         elif kind == "EntryList":
-            twice = repeated_name([child.get("parameterRef", "") for child in element if child.get("parameterRef")])
-            if twice is not None:
-                yield f"an EntryList has `{twice}` twice; remove one"
+            names, has = _stated(element, "parameterRef"), "an EntryList has"
         else:
-            counts = [tag for tag, _ in names if tag.endswith(("DataEncoding", "Set", "List", "MetaData"))]
-            if (twice := repeated_name(counts)) is not None:
-                yield f"{kind} `{element.get('name', '')}` has {twice} twice; remove one"
+            tags = [_local(child.tag) for child in element]
+            names = [tag for tag in tags if tag.endswith(("DataEncoding", "Set", "List", "MetaData"))]
+            has = f"{kind} `{element.get('name', '')}` has"
+        if (twice := repeated_name(names)) is not None:
+            yield f"{has} {twice} twice; remove one"
+
+
+def _stated(element: ElementTree.Element, key: str) -> list[str]:
+    """What the elements within one state under a key."""
+    return [f"`{child.attrib[key]}`" for child in element if key in child.attrib]
 
 
 def _local(tag: object) -> str:
@@ -130,16 +132,15 @@ def _bits(entry: Any) -> int | None:
 def _size_problems(entries: Sequence[tuple[bool, Any]], container: str) -> list[str]:
     """Numbers of sizes that no number has; a container that begins with no primary header, or has no whole bytes."""
     for _, entry in entries:
-        bits = _bits(entry)
-        if bits is not None and not 1 <= bits <= 64:
+        if (bits := _bits(entry)) not in SIZES:
             return [f"parameter `{entry.name}`: a number of {bits} bits cannot be; correct `sizeInBits`"]
-    sizes = [_bits(entry) or 0 for is_common, entry in entries if is_common]  # 0 where it is not known
-    ends = list(accumulate(takewhile(bool, sizes)))
+    sizes = [_bits(entry) for is_common, entry in entries if is_common]
+    ends = list(accumulate(filter(None, takewhile(bool, sizes))))
     has_all_sizes = len(ends) == len(sizes)
     if (has_all_sizes or max(ends, default=0) > 8 * HEADER) and 8 * HEADER not in ends:
         rule = f"its parameters do not end at the {8 * HEADER} bits of a primary header; correct their sizes"
         return [f"container `{container}`: {rule}"]
-    if has_all_sizes and all(is_common for is_common, _ in entries) and ends[-1] % 8:
+    if len(ends) == len(entries) and ends[-1] % 8:
         return [f"container `{container}`: has {ends[-1]} bits, and packets are of whole bytes; correct their sizes"]
     return []
 

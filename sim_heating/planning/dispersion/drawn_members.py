@@ -6,8 +6,6 @@ standard normal numbers. They stand in place of the study's own inputs of the sa
 place of the error of the ratio table, as in the bands of a prediction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,14 +14,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.march.point import PointModel
-from sim_heating.planning.bands import (
-    Member,
-    members_of_point,
-    model_of_member,
-    open_covariance,
-    open_parameters,
-    principal_steps,
-)
+from sim_heating.planning import bands
 from sim_heating.planning.dispersion.statistics import choices
 
 
@@ -36,23 +27,23 @@ class DrawnMember:
     """
 
     declared: Sequence[PointModel]
-    member: Member
+    member: bands.Member
 
     @cached_property
-    def of_points(self) -> list[Member]:
+    def of_points(self) -> list[bands.Member]:
         """The member at each control point."""
-        return [members_of_point([self.member], m.name)[0] for m in self.declared]
+        return [bands.members_of_point([self.member], m.name)[0] for m in self.declared]
 
     @cached_property
     def models(self) -> list[PointModel]:
         """The control points with the values of the estimate."""
-        return [model_of_member(model, m) for model, m in zip(self.declared, self.of_points, strict=True)]
+        return [bands.model_of_member(model, m) for model, m in zip(self.declared, self.of_points, strict=True)]
 
     @cached_property
     def labels(self) -> list[dict[str, str]]:
         """For each control point, name in the model -> label in the estimate of what that leaves open."""
         return [
-            {} if m.estimate is None else {n: label for n, (label, _) in open_parameters(model, m).items()}
+            {} if m.estimate is None else {n: label for n, (label, _) in bands.open_parameters(model, m).items()}
             for model, m in zip(self.declared, self.of_points, strict=True)
         ]
 
@@ -62,7 +53,7 @@ class DrawnMember:
         labels = list(dict.fromkeys(label for of_point in self.labels for label in of_point.values()))
         if not labels:
             return {}
-        steps = principal_steps(open_covariance(self.member, labels))
+        steps = bands.principal_steps(bands.open_covariance(self.member, labels))
         return dict(zip(labels, steps[:, np.any(steps != 0.0, axis=0)], strict=True))
 
     @property

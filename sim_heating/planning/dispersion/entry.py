@@ -280,7 +280,7 @@ class DispersedEntry:
         """Columns of the results of a batch: deviations, outcomes of the flights, and peaks."""
         z = self.rows(batch)
         deviation = deviations(self.inputs, z)
-        flown = self.sampler.fly(self.inputs, [self.flight_deviations(row) for row in deviation])
+        flown = self.sampler.fly(self.inputs, list(map(self.flight_deviations, deviation)))
         peaks = self.march(flown, deviation, z)
         member = self.members.numbers(z[:, self.columns.members])
         least, most = peaks.extent[:, 0], peaks.extent[:, 1]

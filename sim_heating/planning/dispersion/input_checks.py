@@ -1,7 +1,5 @@
 """Inputs of a dispersed entry that no flight can have, told before any flight."""
 
-from __future__ import annotations
-
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import repeated_name
 from sim_heating.planning.dispersion.entry import DispersedEntry, require_pyarrow
@@ -45,6 +43,11 @@ def _check_input(entry: DispersedEntry, i: DispersedInput, k: int) -> None:
     points = i.points_of(entry.point_names)
     for p in points:
         entry.lanes.place_of(p, i.name)  # it exists there
+    _require_room(entry, i, points, low, high)
+
+
+def _require_room(entry: DispersedEntry, i: DispersedInput, points: list[int], low: float, high: float) -> None:
+    """Refuse deviations that leave the range of a parameter at any of the points."""
     for model in (m.models[p] for m in entry.members.each for p in points if not m.replaces(p, i.name)):
         definition, value = model.definition(i.name), model.value(i.name)
         if not definition.lower <= value + low <= value + high <= definition.upper:

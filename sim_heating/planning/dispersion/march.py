@@ -4,8 +4,6 @@ The ensemble is packed once. For each eight flights the dispersed numbers are wr
 back, and every group is marched. Only peaks are kept, so that memory does not grow with the number of flights.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,14 +31,7 @@ from sim_heating.inputs.vehicle import Vehicle, numbers_upstream, walls_upstream
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import TOLERANCE_K, choose_meshes
 from sim_heating.march.point import PointModel, heating_vector, kernel_effects, stack_values
-from sim_heating.planning.dispersion.flight import (
-    COMPLETED,
-    SampledFlights,
-    condition_kernel,
-    extent_kernel,
-    peak_kernel,
-    upstream_wall_kernel,
-)
+from sim_heating.planning.dispersion import flight
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.soak import SOAK
 from sim_heating.simulation.plugin import host_array, point_constants
@@ -187,7 +178,7 @@ class LaneMarch:
 
     def march(
         self,
-        flown: SampledFlights,
+        flown: flight.SampledFlights,
         first: int,
         changes: Sequence[tuple[ParameterPlace, FloatArray]],
         table_factors: Sequence[FloatArray | None],
@@ -209,7 +200,7 @@ class LaneMarch:
         frame_counts = flown.frame_counts[lane]
         time_s = self.times(int(frame_counts.max()))
         histories = self._history_memory(len(time_s))
-        condition_kernel(flown.rows[lane], frame_counts, self.host, self.constants, self.soak, time_s, histories)
+        flight.condition_kernel(flown.rows[lane], frame_counts, self.host, self.constants, self.soak, time_s, histories)
         for history, (knots_s, relative) in zip(histories, errors, strict=False):
             _scale_heating(history, frame_counts, knots_s, relative[lane])
         self.ensemble.restore(self._initial_state)
@@ -227,15 +218,15 @@ class LaneMarch:
         # Lanes march as long as the longest flight of the eight: each counts to the end of its own soak.
         hottest = np.empty((len(self.points), last - first, len(QUANTITIES)))
         for out, peaks in zip(marched, hottest, strict=False):
-            peak_kernel(out, counts, peaks)
+            flight.peak_kernel(out, counts, peaks)
         surface, bondline = (hottest[:, :, k].T.copy() for k in range(len(QUANTITIES)))
         by_point = self.ensemble.counters.failures, self.ensemble.counters.steps_of_negative_ratio
         failed, negative = (steps.reshape(-1, LANES).T[in_use, : len(self.points)] > 0.0 for steps in by_point)
         # A peak of a flight that did not reach its stop would be too low; NaN counts as above every limit.
-        unknown = failed | (flown.outcome[lane[in_use]] != COMPLETED)[:, np.newaxis]
+        unknown = failed | (flown.outcome[lane[in_use]] != flight.COMPLETED)[:, np.newaxis]
         surface[unknown], bondline[unknown] = np.nan, np.nan
         extent = np.empty((last - first, 2, len(RATIO_VARIABLES)))
-        extent_kernel(histories[0], frame_counts, extent)
+        flight.extent_kernel(histories[0], frame_counts, extent)
         return FlightPeaks(surface, bondline, negative, extent)
 
     def march_all(self, time_s: FloatArray, histories: FloatArray) -> list[FloatArray]:
@@ -249,7 +240,7 @@ class LaneMarch:
         before = {p: {self._behind[p]} if p in self._behind else set[int]() for p in range(len(self.stepped))}
         for p in TopologicalSorter(before).static_order():
             for wall in before[p]:
-                upstream_wall_kernel(marched[wall], self.constants.numbers[p, UPSTREAM_CP], histories[p])
+                flight.upstream_wall_kernel(marched[wall], self.constants.numbers[p, UPSTREAM_CP], histories[p])
             group, outputs = self._groups[p], self._outputs[p]
             marched[p] = self.ensemble.march_lanes(group, time_s, histories[p], flights, SOAK_STEP_S, outputs)
         return [marched[p] for p in range(len(self.stepped))]

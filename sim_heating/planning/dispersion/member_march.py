@@ -1,8 +1,6 @@
 """Dispersed flights that have one member of a set of estimates: its control points marched in lanes."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -43,6 +41,12 @@ class MemberMarch:
             for i in self.inputs
         ]
 
+    def _estimated_changes(self, z: FloatArray) -> Iterator[tuple[ParameterPlace, FloatArray]]:
+        """Deviations of what the estimate leaves open, each with its place."""
+        for p in range(len(self.member.declared)):
+            for name, change in self.member.deviations(p, z).items():
+                yield from ((place, change) for place in self.lanes.places_of_estimated(p, name))
+
     def march(
         self,
         flown: SampledFlights,
@@ -62,12 +66,7 @@ class MemberMarch:
                     condition); None for none
         """
         changes = [(place, deviation[:, k]) for k, places in enumerate(self.places) for place in places]
-        changes += [
-            (place, change)
-            for p in range(len(self.member.declared))
-            for name, change in self.member.deviations(p, z).items()
-            for place in self.lanes.places_of_estimated(p, name)
-        ]
+        changes += self._estimated_changes(z)
         tables = [
             table_factors(errors, numbers) if errors.shape[1] and not self.member.replaces_table(p) else None
             for p, (errors, numbers) in enumerate(modes)

@@ -3,8 +3,6 @@
 Pictures: peaks of all flights with their limits, first-order quantiles against those counted, what drives each peak.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,17 +17,8 @@ from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, s
 from sim_heating.base.report.table import Column, Table
 from sim_heating.credibility.facts.contributors import combined
 from sim_heating.credibility.statement import Answer, Facts
+from sim_heating.planning.dispersion import results
 from sim_heating.planning.dispersion.march import QUANTITIES
-from sim_heating.planning.dispersion.results import (
-    FLIGHTS_FILE,
-    DispersionResult,
-    PeakStatistics,
-    data_of,
-    disperse,
-    members_of,
-    merge,
-    notes_of,
-)
 from sim_heating.planning.members import member_table
 from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart, program_digest
 from sim_heating.planning.study import Study
@@ -50,7 +39,7 @@ LEAST_INDEX = 0.01
 def dispersion_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> PartResult:
     """Fly a study's dispersion and write its results below a folder."""
     ledger = engine.ledger / f"dispersion-{study.hash}-{program_digest()}"
-    result, files = disperse(
+    result, files = results.disperse(
         study,
         ledger,
         scheduler=engine.scheduler,
@@ -58,7 +47,7 @@ def dispersion_part(study: Study, folder: Path, engine: Engine, progress: Progre
         progress=lambda f, text: progress(0.95 * f, text),
     )
     progress(0.96, "writing")
-    merge(files["main"], folder / FLIGHTS_FILE)
+    results.merge(files["main"], folder / results.FLIGHTS_FILE)
     vehicle = study.vehicle
     header = {"vehicle": vehicle.name, "revision": vehicle.revision, "study": study.hash}
     write_text_atomic(folder / CSV, quantile_table(result).csv(CSV_FORMATS, header))
@@ -71,10 +60,10 @@ def dispersion_part(study: Study, folder: Path, engine: Engine, progress: Progre
         pictures.append(PartPicture(DRIVERS, "What drives each peak: total Sobol' indices."))
         draw_drivers(folder / DRIVERS, title, result)
     notes = tuple(_notes(result))
-    return PartResult(data_of(result), tuple(_tables(result)), tuple(pictures), notes, topics=("trim",))
+    return PartResult(results.data_of(result), tuple(_tables(result)), tuple(pictures), notes, topics=("trim",))
 
 
-DISPERSION = StudyPart(dispersion_part, lambda _: (FLIGHTS_FILE, CSV, PEAKS, FIRST_ORDER, DRIVERS))
+DISPERSION = StudyPart(dispersion_part, lambda _: (results.FLIGHTS_FILE, CSV, PEAKS, FIRST_ORDER, DRIVERS))
 
 
 def with_dispersion(facts: Facts, data: Mapping[str, Any]) -> Facts:
@@ -95,14 +84,14 @@ def with_dispersion(facts: Facts, data: Mapping[str, Any]) -> Facts:
     return replace(facts, uncertainty=replace(uncertainty, sigma=nearest["sigma_K"]), holds=holds, varied=holds)
 
 
-def _notes(result: DispersionResult) -> list[str]:
+def _notes(result: results.DispersionResult) -> list[str]:
     spec, kept, kept_with_data = result.entry.spec, result.within_limits, result.within_limits_and_data
     head = (
         f"{spec.flights} flights: all limits are kept with a probability of {kept.value:.4f} ({kept.low:.4f} to "
         f"{kept.high:.4f}, {spec.confidence:.0%}); within the ratio tables and trimmed as well "
         f"{kept_with_data.value:.4f}"
     )
-    return [head, *notes_of(result)]
+    return [head, *results.notes_of(result)]
 
 
 # Tables --------------------------------------------------------------------------------------------------------------
@@ -110,7 +99,7 @@ def _notes(result: DispersionResult) -> list[str]:
 CSV_FORMATS = {"q": "g"} | dict.fromkeys(("value_K", "low_K", "high_K", "scatter_K", "first_order_K"), ".3f")
 
 
-def quantile_table(result: DispersionResult) -> Table:
+def quantile_table(result: results.DispersionResult) -> Table:
     """Quantiles of every peak [K], counted and to first order, one row each."""
     heads = ("control_point", "quantity", "q", "value_K", "low_K", "high_K", "scatter_K", "first_order_K")
     rows = [
@@ -121,8 +110,8 @@ def quantile_table(result: DispersionResult) -> Table:
     return Table("Quantiles of peak temperatures", heads, rows)
 
 
-def _tables(result: DispersionResult) -> list[Table]:
-    members = members_of(result)
+def _tables(result: results.DispersionResult) -> list[Table]:
+    members = results.members_of(result)
     tables = [member_table(MEMBERS, members)] if members else []
     tables += [_peak_table(result), _first_order_table(result)]
     driven = [(f"{a.point} {a.location}", _drivers(result, a)) for a in result.peaks if a.indices is not None]
@@ -135,7 +124,7 @@ def _tables(result: DispersionResult) -> list[Table]:
     return tables
 
 
-def _peak_table(result: DispersionResult) -> Table:
+def _peak_table(result: results.DispersionResult) -> Table:
     spec = result.entry.spec
     columns: tuple[Column | str, ...] = (
         "control point",
@@ -165,12 +154,12 @@ def _bounds(low: float | None, high: float | None) -> str:
     return f" ({f'{NO_BREAK}to{NO_BREAK}'.join(ends)})"
 
 
-def _exceedance(peak: PeakStatistics) -> str | None:
+def _exceedance(peak: results.PeakStatistics) -> str | None:
     e = peak.exceeded
     return None if e is None else f"{e.value:.4f} ({e.low:.4f}{NO_BREAK}to{NO_BREAK}{e.high:.4f})"
 
 
-def _first_order_table(result: DispersionResult) -> Table:
+def _first_order_table(result: results.DispersionResult) -> Table:
     columns: tuple[Column | str, ...] = (
         "control point",
         Column("mean flight", format=".0f"),
@@ -194,7 +183,7 @@ def _first_order_table(result: DispersionResult) -> Table:
     return Table(title, columns, rows)
 
 
-def _drivers(result: DispersionResult, peak: PeakStatistics) -> str:
+def _drivers(result: results.DispersionResult, peak: results.PeakStatistics) -> str:
     assert peak.indices is not None  # the caller's choice
     columns = (peak.indices.total, peak.indices.total_bounds, peak.indices.first)
     named = sorted(zip(result.entry.group_descriptions, *columns, strict=True), key=lambda x: -x[1])
@@ -216,7 +205,7 @@ FAILS: dict[str, Any] = {"marker": "X", "color": "tab:red"}
 
 
 @replaced_if_undrawable
-def draw_distributions(path: Path, title: str, result: DispersionResult) -> None:
+def draw_distributions(path: Path, title: str, result: results.DispersionResult) -> None:
     """Draw the distribution of each peak, one row a control point; surfaces left, bondlines right."""
     points = [p.point.name for p in result.entry.points]
     figure, axes = new_figure(11.0, 2.1 + 0.55 * len(points), 1, 2, sharey=True)
@@ -231,7 +220,7 @@ def draw_distributions(path: Path, title: str, result: DispersionResult) -> None
     save_figure(figure, path, f"Peak temperatures of {result.entry.spec.flights} dispersed entries\n{title}", axes)
 
 
-def _name_points(ax: Axes, points: list[str], result: DispersionResult, quantity: str) -> None:
+def _name_points(ax: Axes, points: list[str], result: results.DispersionResult, quantity: str) -> None:
     """Label a row for each point; a wall of one layer has no bondline and is labelled so."""
     ax.set_yticks(range(len(points)), points)
     ax.set_ylim(len(points) - 0.4, -0.6)
@@ -249,12 +238,12 @@ def _name_points(ax: Axes, points: list[str], result: DispersionResult, quantity
         )
 
 
-def _quantile_label(result: DispersionResult) -> str:
+def _quantile_label(result: results.DispersionResult) -> str:
     named = ", ".join(f"{q:g}" for q in result.entry.spec.quantiles)
     return f"quantiles {named} with bounds of {result.entry.spec.confidence:.0%}"
 
 
-def _distribution(ax: Axes, row: int, peak: PeakStatistics, values: np.ndarray, color: str) -> None:
+def _distribution(ax: Axes, row: int, peak: results.PeakStatistics, values: np.ndarray, color: str) -> None:
     finite = values[np.isfinite(values)]
     count, edges = np.histogram(finite, bins=BINS)
     middle, height = 0.5 * (edges[1:] + edges[:-1]), WIDTH * count / count.max()
@@ -280,7 +269,7 @@ def _draw_quantile(axes: Axes, y: float, counted: Any, first: Mapping[str, Any])
 
 
 @replaced_if_undrawable
-def draw_first_order(path: Path, title: str, result: DispersionResult) -> None:
+def draw_first_order(path: Path, title: str, result: results.DispersionResult) -> None:
     """Draw first-order quantiles less those counted [K], on the bounds of the counted ones."""
     figure, axes = new_figure(11.0, 2.2 + 0.5 * len(result.entry.points), 1, 2, sharey=True)
     points = [p.point.name for p in result.entry.points]
@@ -302,7 +291,7 @@ def draw_first_order(path: Path, title: str, result: DispersionResult) -> None:
 
 
 @replaced_if_undrawable
-def draw_drivers(path: Path, title: str, result: DispersionResult) -> None:
+def draw_drivers(path: Path, title: str, result: results.DispersionResult) -> None:
     """Draw the total Sobol' indices of every peak as a map."""
     peaks = [a for a in result.peaks if a.indices is not None]
     groups = [", ".join(name_and_size) for name_and_size in result.entry.group_descriptions]

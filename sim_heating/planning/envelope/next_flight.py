@@ -7,8 +7,6 @@ evidence of an estimate with these bounds on the ratio table of a control point 
 boundary stays where it is; its band becomes narrower.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -25,13 +23,7 @@ from sim_heating.heating.ratio.uncertainty import Evidence
 from sim_heating.inputs.points import reference_of_record
 from sim_heating.inputs.scenario import Design
 from sim_heating.march.point import COATING_PREFIX, insulation_layer
-from sim_heating.planning.envelope.envelope import (
-    CONSERVATIVE,
-    NOMINAL,
-    BoundarySegment,
-    FlownBoundary,
-    boundary_segment,
-)
+from sim_heating.planning.envelope import envelope
 from sim_heating.planning.envelope.margins import Margin
 from sim_heating.planning.envelope.spec import ManoeuvreCandidate
 from sim_heating.planning.study import Study
@@ -142,13 +134,13 @@ class RankedManoeuvre:
     sigma_reduction: float
 
 
-def limiting_margins(s: BoundarySegment) -> list[Margin]:
+def limiting_margins(s: envelope.BoundarySegment) -> list[Margin]:
     """Margins with a sigma that make the nominal and conservative edges of a segment, or close it.
 
     Each limit appears once, with the margin of the flight nearest to its edge.
     """
     edges: dict[str, float] = {}
-    for which in (NOMINAL, CONSERVATIVE):
+    for which in (envelope.NOMINAL, envelope.CONSERVATIVE):
         g, a = s.greatest.get(which), s.allowed[which]
         for edge in (a.low, a.high, a.least_violated) if g is None else (g,):
             if edge is not None:
@@ -164,18 +156,18 @@ def limiting_margins(s: BoundarySegment) -> list[Margin]:
     return margins
 
 
-def boundary_after(boundary: FlownBoundary, manoeuvre: str, sigmas: float) -> FlownBoundary:
+def boundary_after(boundary: envelope.FlownBoundary, manoeuvre: str, sigmas: float) -> envelope.FlownBoundary:
     """The boundary as it would be after a manoeuvre that confirms the tables."""
     declared = boundary.declared
     later = (
-        boundary_segment(declared, s.member, s.position, s.inside, s.flights, sigmas, manoeuvre)
+        envelope.boundary_segment(declared, s.member, s.position, s.inside, s.flights, sigmas, manoeuvre)
         for s in boundary.segments
     )
-    return FlownBoundary(declared, tuple(later))
+    return envelope.FlownBoundary(declared, tuple(later))
 
 
 def rank_manoeuvres(
-    forecasts: Sequence[ManoeuvreForecast], boundaries: Sequence[FlownBoundary], sigmas: float
+    forecasts: Sequence[ManoeuvreForecast], boundaries: Sequence[envelope.FlownBoundary], sigmas: float
 ) -> list[RankedManoeuvre]:
     """Rank candidates, the largest reduction of sigma first."""
     ranked = []
@@ -189,6 +181,6 @@ def rank_manoeuvres(
             if edges:
                 sigma[b.declared.name] = (float(np.mean(now)), float(np.mean(after)))
             later_boundary = boundary_after(b, name, sigmas)
-            area[b.declared.name] = (b.area(CONSERVATIVE), later_boundary.area(CONSERVATIVE))
+            area[b.declared.name] = (b.area(envelope.CONSERVATIVE), later_boundary.area(envelope.CONSERVATIVE))
         ranked.append(RankedManoeuvre(forecast, sigma, area, float(np.mean(reductions)) if reductions else 0.0))
     return sorted(ranked, key=lambda r: -r.sigma_reduction)

@@ -1,9 +1,7 @@
 """Pictures of an envelope: maps, boundaries, two revisions side by side, and the ranking of manoeuvres."""
 
-from __future__ import annotations
-
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
@@ -14,15 +12,8 @@ from matplotlib.axes import Axes
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
+from sim_heating.planning.envelope import envelope
 from sim_heating.planning.envelope.boundary import END_OF_STUDY
-from sim_heating.planning.envelope.envelope import (
-    CONSERVATIVE,
-    NOMINAL,
-    OPTIMISTIC,
-    BoundarySegment,
-    FlownBoundary,
-    FlownMap,
-)
 from sim_heating.planning.envelope.margins import EvaluatedCase
 from sim_heating.planning.envelope.next_flight import RankedManoeuvre
 from sim_heating.planning.envelope.tables import NOTHING, edge_limits
@@ -69,7 +60,7 @@ class DrawnBand:
 
 
 @replaced_if_undrawable
-def draw_map(path: Path, title: str, flown: FlownMap, band: DrawnBand) -> None:
+def draw_map(path: Path, title: str, flown: envelope.FlownMap, band: DrawnBand) -> None:
     """Draw a map: over one axis the margins with their bands, over two the least margin and the name of its limit."""
     axes = flown.declared.axes
     if len(axes) == 1:
@@ -78,7 +69,7 @@ def draw_map(path: Path, title: str, flown: FlownMap, band: DrawnBand) -> None:
         _draw_plane_map(path, title, flown)
 
 
-def _draw_line_map(path: Path, title: str, flown: FlownMap, band: DrawnBand) -> None:
+def _draw_line_map(path: Path, title: str, flown: envelope.FlownMap, band: DrawnBand) -> None:
     figure, axes = new_figure(9.0, 6.0, 1)
     (name, values), a = next(iter(flown.declared.axes.items())), axes[0]
     good = [(v, f) for v, f in zip(values, flown.flights, strict=True) if f.error is None]
@@ -104,7 +95,7 @@ def _mark_excluded(a: Axes, flights: Sequence[tuple[float, EvaluatedCase]]) -> N
         a.plot(excluded, np.zeros(len(excluded)), "kx", markersize=9, label="no flight, no trim, or outside a table")
 
 
-def _draw_plane_map(path: Path, title: str, flown: FlownMap) -> None:
+def _draw_plane_map(path: Path, title: str, flown: envelope.FlownMap) -> None:
     figure, axes = new_figure(9.0, 6.5, 1)
     (first, xs), (second, ys) = flown.declared.axes.items()
     least = [f.least for f in flown.flights]
@@ -125,8 +116,15 @@ def _draw_plane_map(path: Path, title: str, flown: FlownMap) -> None:
     a.grid(visible=False)
 
 
+def _colours_of_limits(boundaries: Iterable[envelope.FlownBoundary]) -> dict[str, str]:
+    """Colour of each limit that holds at an edge of boundaries, in the order of their names."""
+    names = sorted({n for b in boundaries for s in b.segments for n in edge_limits(s)} - {""})
+    colours = dict(zip([n for n in names if n != END_OF_STUDY], cycle(COLOURS), strict=False)) | {END_OF_STUDY: "0.5"}
+    return {n: colours[n] for n in names}
+
+
 @replaced_if_undrawable
-def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBoundary], band: DrawnBand) -> None:
+def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, envelope.FlownBoundary], band: DrawnBand) -> None:
     """Draw a boundary, or that of several revisions side by side; the colour of an edge is that of its limit.
 
     boundaries : name of the revision -> its boundary
@@ -135,8 +133,7 @@ def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBounda
     rows, columns = len(first.members()), len(boundaries)
     width = 8.5 if columns == 1 else 6.6 * columns
     figure, grid = new_figure(width, 5.2 * rows, rows, columns, sharex=True, sharey=True, squeeze=False)
-    names = sorted({n for b in boundaries.values() for s in b.segments for n in edge_limits(s)} - {""})
-    colours = dict(zip([n for n in names if n != END_OF_STUDY], cycle(COLOURS), strict=False)) | {END_OF_STUDY: "0.5"}
+    colours = _colours_of_limits(boundaries.values())
     for column, (label, boundary) in enumerate(boundaries.items()):
         for row, member in enumerate(first.members()):
             a, segments = grid[row, column], boundary.segments_of(member)
@@ -149,7 +146,7 @@ def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBounda
             _name_speeds(a, segments)
     if first.along == "alpha_station":
         grid[0, 0].invert_xaxis()
-    handles = _handles(grid[0, 0], {n: colours[n] for n in names}, band)
+    handles = _handles(grid[0, 0], colours, band)
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8)
     save_figure(figure, path, title, grid)
 
@@ -167,7 +164,7 @@ def _handles(a: Axes, colours: Mapping[str, str], band: DrawnBand) -> list[Any]:
     return handles
 
 
-def _name_speeds(a: Axes, segments: Sequence[BoundarySegment]) -> None:
+def _name_speeds(a: Axes, segments: Sequence[envelope.BoundarySegment]) -> None:
     """Write velocities below the Mach numbers of stations; a schedule over velocity has them as its axis."""
     speeds = [s.speed_m_s for s in segments]
     if segments[-1].position > FASTEST_MACH:
@@ -178,23 +175,23 @@ def _name_speeds(a: Axes, segments: Sequence[BoundarySegment]) -> None:
         a.set_xlabel("Mach number, velocity in km/s")
 
 
-def _draw_boundary(a: Axes, segments: Sequence[BoundarySegment], colours: Mapping[str, str]) -> None:
+def _draw_boundary(a: Axes, segments: Sequence[envelope.BoundarySegment], colours: Mapping[str, str]) -> None:
     """Draw the bands, then each edge as a line with points in the colour of the limit there."""
     x = np.array([s.position for s in segments])
-    for which, strength in ((OPTIMISTIC, 0.12), (CONSERVATIVE, 0.30)):
+    for which, strength in ((envelope.OPTIMISTIC, 0.12), (envelope.CONSERVATIVE, 0.30)):
         low, high = _ends(segments, which)
         a.fill_between(x, low, high, color="tab:green", alpha=strength, linewidth=0)
         isolated = _isolated(np.isfinite(low))
         a.vlines(x[isolated], low[isolated], high[isolated], color="tab:green", alpha=strength, linewidth=5.0)
-    low, high = _ends(segments, NOMINAL)
+    low, high = _ends(segments, envelope.NOMINAL)
     edges = ((low, 0), (high, 1))
     for y, side in edges[1:] if segments[0].greatest else edges:
         a.plot(x, y, "-", color="0.3", linewidth=1.0)
         for s, value in zip(segments, y, strict=True):
             a.plot(s.position, value, "o", color=colours.get(edge_limits(s)[side], "k"), markersize=6)
     for s in segments:
-        if s.ends(NOMINAL)[0] is None:
-            closest = s.allowed[NOMINAL].least_violated
+        if s.ends(envelope.NOMINAL)[0] is None:
+            closest = s.allowed[envelope.NOMINAL].least_violated
             at = 0.0 if s.greatest or closest is None else closest.at
             a.plot(s.position, at, "x", color=colours.get(edge_limits(s)[0], "k"), markersize=8)
 
@@ -205,7 +202,7 @@ def _isolated(is_allowed: BoolArray) -> BoolArray:
     return np.asarray(is_allowed & ~padded[:-2] & ~padded[2:])
 
 
-def _ends(segments: Sequence[BoundarySegment], which: str) -> tuple[FloatArray, FloatArray]:
+def _ends(segments: Sequence[envelope.BoundarySegment], which: str) -> tuple[FloatArray, FloatArray]:
     """(place,) low and high ends; NaN where nothing is allowed."""
     low, high = np.array([s.ends(which) for s in segments], dtype=float).T
     return low, high

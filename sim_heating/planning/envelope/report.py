@@ -3,9 +3,7 @@
 If the study names a vehicle `before`, the boundaries of both revisions are compared: what flight data opened or closed.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,21 +14,10 @@ from sim_heating.base.progress import Progress
 from sim_heating.base.report.table import Column, Table
 from sim_heating.heating.ratio.uncertainty import Evidence
 from sim_heating.inputs.vehicle import vehicle_place
-from sim_heating.planning.envelope import plots
+from sim_heating.planning.envelope import envelope, plots
 from sim_heating.planning.envelope import tables as files
 from sim_heating.planning.envelope.boundary import END_OF_STUDY
-from sim_heating.planning.envelope.case import held_alpha
-from sim_heating.planning.envelope.envelope import (
-    CONSERVATIVE,
-    FOLDER,
-    NOMINAL,
-    FlownBoundary,
-    ForecastEvidence,
-    StudyFlights,
-    base_entry,
-    fly_boundary,
-    fly_map,
-)
+from sim_heating.planning.envelope.case import Case, held_alpha
 from sim_heating.planning.envelope.next_flight import (
     ManoeuvreForecast,
     RankedManoeuvre,
@@ -66,17 +53,17 @@ class _PartOutput:
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        (self.folder / FOLDER).mkdir(exist_ok=True)
+        (self.folder / envelope.FOLDER).mkdir(exist_ok=True)
 
     def path(self, name: str) -> Path:
         """Path of a file of the part."""
-        return self.folder / FOLDER / name
+        return self.folder / envelope.FOLDER / name
 
     def draw(self, name: str, title: str, draw: Draw) -> None:
         """Draw a picture, with vehicle, revision and study in its title."""
         capitalised = f"{title[:1].upper()}{title[1:]}"
         draw(self.path(f"{name}.png"), f"{capitalised}\n{self.study.title}\n{files.picture_stamp(self.study)}")
-        self.pictures.append(PartPicture(f"{FOLDER}/{name}.png", title))
+        self.pictures.append(PartPicture(f"{envelope.FOLDER}/{name}.png", title))
 
     def result(self, data: dict[str, Any]) -> PartResult:
         """The result of the part."""
@@ -92,21 +79,29 @@ def _envelope_of(study: Study) -> Envelope:
 # Envelope ------------------------------------------------------------------------------------------------------------
 
 
+def _guidance_notes(study: Study, cases: Sequence[Case]) -> Iterator[str]:
+    """Notes of angles of attack that are held, and of what cannot be tested."""
+    guidance = envelope.base_entry(study).guidance
+    yield from filter(None, (held_alpha(case, guidance) for case in cases))
+    if any(case.lateral_cg_m != 0.0 for case in cases):
+        yield NOT_TESTABLE
+
+
 def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> PartResult:
     """Compute maps and boundaries of a study; if it names a vehicle `before`, also the boundaries of that one."""
-    envelope, output = _envelope_of(study), _PartOutput(study, folder)
-    sigmas, revision, band = envelope.sigmas, files.revision_label(study), _drawn_band(envelope)
-    flights = StudyFlights(study, engine, progress, _forecast_evidence(_forecasts(study)))
+    spec, output = _envelope_of(study), _PartOutput(study, folder)
+    sigmas, revision, band = spec.sigmas, files.revision_label(study), _drawn_band(spec)
+    flights = envelope.StudyFlights(study, engine, progress, _forecast_evidence(_forecasts(study)))
     data: dict[str, Any] = {
         "sigmas": sigmas,
         "revision": revision,
-        "members": member_data(envelope.member, study.members("envelope")),
+        "members": member_data(spec.member, study.members("envelope")),
     }
     data |= {"maps": {}, "boundaries": {}}
     if data["members"]:
         output.tables.append(member_table(MEMBERS, data["members"]))
-    maps = [fly_map(declared, flights) for declared in envelope.map]
-    boundaries = [fly_boundary(declared, envelope, flights) for declared in envelope.boundary]
+    maps = [envelope.fly_map(declared, flights) for declared in spec.map]
+    boundaries = [envelope.fly_boundary(declared, spec, flights) for declared in spec.boundary]
     flights.require_one()
     for flown in maps:
         name, title = _map_file(flown.declared), flown.declared.heading
@@ -121,17 +116,14 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
         output.tables.append(files.boundary_table(boundary))
         data["boundaries"][boundary.declared.name] = files.boundary_data(boundary)
     output.notes += files.flight_notes(flights.flown)
-    guidance = base_entry(study).guidance
-    output.notes += filter(None, (held_alpha(f.case, guidance) for f in flights.flown))
-    if any(f.case.lateral_cg_m != 0.0 for f in flights.flown):
-        output.notes.append(NOT_TESTABLE)
-    if envelope.before is not None and boundaries:
-        data["before"] = _compare_with_before(RevisionBoundaries(study, boundaries), envelope, engine, progress, output)
+    output.notes += _guidance_notes(study, [f.case for f in flights.flown])
+    if spec.before is not None and boundaries:
+        data["before"] = _compare_with_before(RevisionBoundaries(study, boundaries), spec, engine, progress, output)
     return output.result(data | {"notes": output.notes})
 
 
-def _drawn_band(envelope: Envelope) -> plots.DrawnBand:
-    return plots.DrawnBand(envelope.sigmas, by_tables=not envelope.bands)
+def _drawn_band(spec: Envelope) -> plots.DrawnBand:
+    return plots.DrawnBand(spec.sigmas, by_tables=not spec.bands)
 
 
 def _map_file(declared: EnvelopeMap) -> str:
@@ -144,12 +136,14 @@ def _boundary_file(declared: EnvelopeBoundary) -> str:
 
 def _files(study: Study) -> list[str]:
     """Names of all files that the part may write."""
-    envelope = _envelope_of(study)
-    names = [*map(_map_file, envelope.map), *map(_boundary_file, envelope.boundary)]
+    spec = _envelope_of(study)
+    names = [*map(_map_file, spec.map), *map(_boundary_file, spec.boundary)]
     compared = [
-        f"{FOLDER}/{name}" for b in envelope.boundary for name in (f"before_{b.name}.csv", f"before_after_{b.name}.png")
+        f"{envelope.FOLDER}/{name}"
+        for b in spec.boundary
+        for name in (f"before_{b.name}.csv", f"before_after_{b.name}.png")
     ]
-    return [f"{FOLDER}/{name}.{kind}" for name in names for kind in ("csv", "png")] + compared
+    return [f"{envelope.FOLDER}/{name}.{kind}" for name in names for kind in ("csv", "png")] + compared
 
 
 ENVELOPE = StudyPart(envelope_part, _files)
@@ -165,27 +159,27 @@ class RevisionBoundaries:
     """Boundaries of a study on one revision of its vehicle."""
 
     study: Study
-    boundaries: Sequence[FlownBoundary]
+    boundaries: Sequence[envelope.FlownBoundary]
 
 
 def _compare_with_before(
-    current: RevisionBoundaries, envelope: Envelope, engine: Engine, progress: Progress, output: _PartOutput
+    current: RevisionBoundaries, spec: Envelope, engine: Engine, progress: Progress, output: _PartOutput
 ) -> dict[str, Any]:
     """Fly the boundaries with the vehicle `before` and compare them with those of the study's own vehicle."""
-    study, named = current.study, envelope.before or ""
+    study, named = current.study, spec.before or ""
     directory = vehicle_place(study.path, named, "[envelope]: `before`", study.root)
     other = load_study(study.path, directory, root=study.root)
     if other.hash == study.hash:
         output.notes.append(f"before: {named} is the vehicle of the study itself; fly another one with --vehicle")
         return {}
-    flights = StudyFlights(other, engine, progress)
-    before = RevisionBoundaries(other, [fly_boundary(b.declared, envelope, flights) for b in current.boundaries])
+    flights = envelope.StudyFlights(other, engine, progress)
+    before = RevisionBoundaries(other, [envelope.fly_boundary(b.declared, spec, flights) for b in current.boundaries])
     for earlier, later in zip(before.boundaries, current.boundaries, strict=True):
         name = later.declared.name
-        files.write_boundary(output.path(f"before_{name}.csv"), other, earlier, envelope.sigmas)
+        files.write_boundary(output.path(f"before_{name}.csv"), other, earlier, spec.sigmas)
         both = {f"before: {files.picture_stamp(other)}": earlier, f"after: {files.picture_stamp(study)}": later}
         title = f"{later.declared.heading}, before and after"
-        draw = partial(plots.draw_boundaries, boundaries=both, band=_drawn_band(envelope))
+        draw = partial(plots.draw_boundaries, boundaries=both, band=_drawn_band(spec))
         output.draw(f"before_after_{name}", title, draw)
     table, data = compare_areas(before, current)
     output.tables.append(table)
@@ -201,10 +195,10 @@ def compare_areas(old: RevisionBoundaries, new: RevisionBoundaries) -> tuple[Tab
     return table, {"study": old.study.hash, **data}
 
 
-def _area_rows(old: FlownBoundary, new: FlownBoundary) -> list[tuple[str, ...]]:
+def _area_rows(old: envelope.FlownBoundary, new: envelope.FlownBoundary) -> list[tuple[str, ...]]:
     """Rows of a boundary: nominal and conservative."""
     rows = []
-    for which in (NOMINAL, CONSERVATIVE):
+    for which in (envelope.NOMINAL, envelope.CONSERVATIVE):
         a, b = old.area(which), new.area(which)
         change = f"{b - a:+.3g}" if a == 0.0 else f"{b - a:+.3g} ({100.0 * (b / a - 1.0):+.0f} %)"
         limits = [_limits(x, which) for x in (old, new)]
@@ -212,7 +206,7 @@ def _area_rows(old: FlownBoundary, new: FlownBoundary) -> list[tuple[str, ...]]:
     return rows
 
 
-def _limits(boundary: FlownBoundary, which: str) -> str:
+def _limits(boundary: envelope.FlownBoundary, which: str) -> str:
     """Names of all limits that make an edge of a boundary."""
     named = {n.removeprefix(files.CLOSED) for s in boundary.segments for n in files.edge_limits(s, which)}
     return ", ".join(sorted(named - {"", END_OF_STUDY}))
@@ -223,22 +217,22 @@ def _limits(boundary: FlownBoundary, which: str) -> str:
 
 def next_flight_part(study: Study, folder: Path, engine: Engine, progress: Progress) -> PartResult:
     """Rank the candidates for the next flight; the flights are those of the [envelope], each flown once."""
-    envelope, forecasts, output = _envelope_of(study), _forecasts(study), _PartOutput(study, folder)
-    flights = StudyFlights(study, engine, progress, _forecast_evidence(forecasts))
-    boundaries = [fly_boundary(declared, envelope, flights) for declared in envelope.boundary]
+    spec, forecasts, output = _envelope_of(study), _forecasts(study), _PartOutput(study, folder)
+    flights = envelope.StudyFlights(study, engine, progress, _forecast_evidence(forecasts))
+    boundaries = [envelope.fly_boundary(declared, spec, flights) for declared in spec.boundary]
     flights.require_one()
     if not boundaries:
         raise RunError(
             f"{study.path}, [next_flight]: needs an [[envelope.boundary]], whose uncertainty it reduces; add one"
         )
-    ranked = rank_manoeuvres(forecasts, boundaries, envelope.sigmas)
+    ranked = rank_manoeuvres(forecasts, boundaries, spec.sigmas)
     output.draw(RANKING, "sigma after the next flight", partial(plots.draw_ranking, ranked=ranked))
     output.tables.append(_ranking_table(ranked))
     output.notes += [line for f in forecasts for line in f.notes]
     return output.result(_ranking_data(ranked))
 
 
-NEXT_FLIGHT = StudyPart(next_flight_part, lambda _: (f"{FOLDER}/{RANKING}.png",))
+NEXT_FLIGHT = StudyPart(next_flight_part, lambda _: (f"{envelope.FOLDER}/{RANKING}.png",))
 
 _FORECASTS: dict[str, list[ManoeuvreForecast]] = {}
 """Forecasts of the present study by its hash, because both parts need them."""
@@ -254,7 +248,7 @@ def _forecasts(study: Study) -> list[ManoeuvreForecast]:
     return _FORECASTS[study.hash]
 
 
-def _forecast_evidence(forecasts: Sequence[ManoeuvreForecast]) -> ForecastEvidence:
+def _forecast_evidence(forecasts: Sequence[ManoeuvreForecast]) -> envelope.ForecastEvidence:
     by_point: dict[str, dict[str, Evidence]] = {}
     for f in forecasts:
         for point, evidence in f.evidence.items():

@@ -1,7 +1,5 @@
 """Maps and boundaries of an envelope as CSV files, as plain values for study.json, and as tables for the page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from operator import itemgetter
 from pathlib import Path
@@ -12,19 +10,12 @@ import numpy as np
 from sim_heating.base.files import write_csv
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.revise.revisions import FOLDER as REVISIONS
+from sim_heating.planning.envelope import envelope
 from sim_heating.planning.envelope.boundary import GreatestValue
-from sim_heating.planning.envelope.envelope import (
-    CONSERVATIVE,
-    NOMINAL,
-    OPTIMISTIC,
-    BoundarySegment,
-    FlownBoundary,
-    FlownMap,
-)
 from sim_heating.planning.envelope.margins import BONDLINE, ELEVON, SURFACE, TABLE, EvaluatedCase
 from sim_heating.planning.study import Study
 
-KINDS = (NOMINAL, CONSERVATIVE, OPTIMISTIC)
+KINDS = (envelope.NOMINAL, envelope.CONSERVATIVE, envelope.OPTIMISTIC)
 """Kinds of a boundary, in the order of CSV columns."""
 NOTHING = "nothing allowed"
 CLOSED = f"{NOTHING}: "
@@ -65,7 +56,7 @@ def csv_header(study: Study, title: str) -> dict[str, str]:
 # Maps ----------------------------------------------------------------------------------------------------------------
 
 
-def write_map(path: Path, study: Study, flown: FlownMap) -> None:
+def write_map(path: Path, study: Study, flown: envelope.FlownMap) -> None:
     """Write a map as CSV, one row for each place and control point; a place that could not be flown has empty cells."""
     rows: list[dict[str, Any]] = []
     count = 4 if has_bands(study) else 3
@@ -86,11 +77,11 @@ def write_map(path: Path, study: Study, flown: FlownMap) -> None:
 
 def has_bands(study: Study) -> bool:
     """Whether the sigma of a study's temperatures is by all that is uncertain: margins are then stated at the band."""
-    envelope = study.declared.envelope
-    return envelope is not None and envelope.bands
+    spec = study.declared.envelope
+    return spec is not None and spec.bands
 
 
-def map_data(flown: FlownMap, study: Study) -> dict[str, Any]:
+def map_data(flown: envelope.FlownMap, study: Study) -> dict[str, Any]:
     """A map for study.json."""
     return {
         "axes": flown.declared.axes,
@@ -125,7 +116,7 @@ def flight_data(flight: EvaluatedCase, *, bands: bool) -> dict[str, Any]:
     }
 
 
-def map_table(flown: FlownMap, study: Study) -> Table:
+def map_table(flown: envelope.FlownMap, study: Study) -> Table:
     """The margin that matters most of each entry of a map (`EvaluatedCase.least`), at the 95 % band too where it has
     one."""
     rows, bands = list[tuple[str, ...]](), has_bands(study)
@@ -147,7 +138,7 @@ def map_table(flown: FlownMap, study: Study) -> Table:
 # Boundaries ----------------------------------------------------------------------------------------------------------
 
 
-def edge_limits(segment: BoundarySegment, which: str = NOMINAL) -> tuple[str, str]:
+def edge_limits(segment: envelope.BoundarySegment, which: str = envelope.NOMINAL) -> tuple[str, str]:
     """Limits that make the low and the high end of a segment, or the limit that closes it."""
     greatest = segment.greatest.get(which)
     if isinstance(greatest, GreatestValue):
@@ -159,7 +150,7 @@ def edge_limits(segment: BoundarySegment, which: str = NOMINAL) -> tuple[str, st
     return allowed.low.limit, allowed.high.limit
 
 
-def boundary_rows(boundary: FlownBoundary) -> list[dict[str, Any]]:
+def boundary_rows(boundary: envelope.FlownBoundary) -> list[dict[str, Any]]:
     """One row for each segment; its ends are NaN where nothing is allowed."""
     rows, declared = [], boundary.declared
     for s in boundary.segments:
@@ -176,7 +167,7 @@ def boundary_rows(boundary: FlownBoundary) -> list[dict[str, Any]]:
     return rows
 
 
-def write_boundary(path: Path, study: Study, boundary: FlownBoundary, sigmas: float) -> None:
+def write_boundary(path: Path, study: Study, boundary: envelope.FlownBoundary, sigmas: float) -> None:
     """Write a boundary as CSV: nominal, conservative (tables hotter by a number of sigma), optimistic (cooler)."""
     rows, declared = boundary_rows(boundary), boundary.declared
     columns = {key: np.array([r[key] for r in rows]) for key in rows[0]}
@@ -188,19 +179,19 @@ def write_boundary(path: Path, study: Study, boundary: FlownBoundary, sigmas: fl
     write_csv(path, columns, ".6g", header)
 
 
-def boundary_data(boundary: FlownBoundary) -> dict[str, Any]:
+def boundary_data(boundary: envelope.FlownBoundary) -> dict[str, Any]:
     """A boundary for study.json."""
     rows = [{k: None if v != v else v for k, v in row.items()} for row in boundary_rows(boundary)]
     areas = {which: boundary.area(which) for which in KINDS}
     return {"across": boundary.declared.sought, "area": areas, "segments": rows}
 
 
-def boundary_table(boundary: FlownBoundary) -> Table:
+def boundary_table(boundary: envelope.FlownBoundary) -> Table:
     """A boundary for the page."""
     d = boundary.declared
     limits_head = Column("limits", is_text=True)
     named = [d.along] if d.family is None else [d.family, d.along]
-    heads: list[Column | str] = [*named, "allowed", limits_head, CONSERVATIVE, OPTIMISTIC]
+    heads: list[Column | str] = [*named, "allowed", limits_head, envelope.CONSERVATIVE, envelope.OPTIMISTIC]
     rows = []
     for s in boundary.segments:
         low, high = edge_limits(s)
@@ -211,7 +202,7 @@ def boundary_table(boundary: FlownBoundary) -> Table:
     return Table(f"Boundary: {d.heading}, {d.sought}", heads, rows)
 
 
-def _interval(segment: BoundarySegment, which: str) -> str:
+def _interval(segment: envelope.BoundarySegment, which: str) -> str:
     low, high = segment.ends(which)
     if low is None or high is None:
         return "-"

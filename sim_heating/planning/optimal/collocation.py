@@ -11,8 +11,6 @@ Source: Betts, "Practical Methods for Optimal Control and Estimation Using Nonli
 chapter 4; Waechter and Biegler, Math. Program. 106 (2006) 25-57 (IPOPT).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -32,6 +30,8 @@ DEGREE = 3
 """Degree of the polynomial of a state on an interval."""
 SUBSTEPS = 16
 """Runge-Kutta steps across an interval, for its error estimate."""
+SHORTEST_INTERVAL_S = 2.0
+"""Shortest interval that halving makes [s]."""
 ITERATIONS = 300
 IPOPT = {
     "print_level": 0,
@@ -300,11 +300,12 @@ def straight_guess(problem: OptimalControlProblem, end: FloatArray, controls: Fl
     return Motion(np.array([0.0, 1.0]), duration_s, states, controls)
 
 
-def refined_mesh(motion: Motion, tolerance: float, bend: FloatArray, shortest_s: float = 2.0) -> FloatArray:
+def refined_mesh(motion: Motion, tolerance: float, bend: FloatArray) -> FloatArray:
     """The mesh of a motion with those intervals halved whose error is too large or in which a control bends.
 
     bend : (control,) largest distance from a straight line across an interval (u'' h^2 / 8), in the control's unit
-    shortest_s : no interval becomes shorter than this [s]
+
+    No interval becomes shorter than SHORTEST_INTERVAL_S [s].
     """
     h = np.diff(motion.mesh)
     halve = motion.errors > tolerance
@@ -314,6 +315,6 @@ def refined_mesh(motion: Motion, tolerance: float, bend: FloatArray, shortest_s:
     # A control bends at a node: both intervals that meet there are halved.
     halve[:-1] |= bent
     halve[1:] |= bent
-    halve &= h * motion.duration_s > 2.0 * shortest_s
+    halve &= h * motion.duration_s > 2.0 * SHORTEST_INTERVAL_S
     midpoints = 0.5 * (motion.mesh[:-1] + motion.mesh[1:])
     return np.sort(np.concatenate((motion.mesh, midpoints[halve])))

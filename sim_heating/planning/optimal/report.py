@@ -1,13 +1,12 @@
 """The optimal entry of a study as files, tables and a picture: ground track, controls, temperatures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from itertools import count
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import write_csv
@@ -137,6 +136,11 @@ def draw_optimal(path: Path, title: str, entries: Mapping[str, OptimalEntry]) ->
     save_figure(figure, path, f"{title}\n{vehicle.name}, revision {vehicle.revision}", axes)
 
 
+def _draw_limit(a: Axes, limit_K: float | None, color: str) -> None:
+    if limit_K is not None and np.isfinite(limit_K):
+        a.axhline(limit_K, color=color, linewidth=0.8, linestyle=(0, (1, 2)))
+
+
 def _draw_temperatures(axes: np.ndarray, entries: Mapping[str, OptimalEntry], end_s: float) -> None:
     """Draw surfaces until the end of the flight, and limited bondlines until that of the soak."""
     surface, bondline = axes
@@ -145,12 +149,10 @@ def _draw_temperatures(axes: np.ndarray, entries: Mapping[str, OptimalEntry], en
         for i, (history, peak) in enumerate(zip(entry.histories, entry.peaks, strict=True)):
             label = history.name if style == STYLES[0] else None
             surface.plot(history.time_s, history.surface_K, style, color=f"C{i}", label=label)
-            if np.isfinite(peak.surface_limit_K):
-                surface.axhline(peak.surface_limit_K, color=f"C{i}", linewidth=0.8, linestyle=(0, (1, 2)))
+            _draw_limit(surface, peak.surface_limit_K, f"C{i}")
             if history.name in insulated:
                 bondline.plot(history.time_s, history.bondline_K, style, color=f"C{i}")
-            if peak.bondline_limit_K is not None:
-                bondline.axhline(peak.bondline_limit_K, color=f"C{i}", linewidth=0.8, linestyle=(0, (1, 2)))
+            _draw_limit(bondline, peak.bondline_limit_K, f"C{i}")
     surface.legend(fontsize=8)
     surface.set_xlim(0.0, end_s)
     surface.set_ylim(0.0, 1.1 * max(float(np.max(h.surface_K)) for e in entries.values() for h in e.histories))

@@ -13,8 +13,6 @@ in any way (Bonferroni): all points stay below their limits with a probability o
 First the problem of a study (`EntrySearch`), then the search (`fly_optimal`) and its result.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
@@ -29,18 +27,8 @@ from sim_heating.inputs.points import conditions_behind_walls, point_of_vehicle
 from sim_heating.march.history import PointHistory, march_points, table_excursions
 from sim_heating.march.point import PointModel
 from sim_heating.planning.limited_point import LimitedPoint
+from sim_heating.planning.optimal import collocation, tables
 from sim_heating.planning.optimal import dynamics as od
-from sim_heating.planning.optimal import tables
-from sim_heating.planning.optimal.collocation import (
-    Motion,
-    OptimalControlProblem,
-    Transcription,
-    UpperBounds,
-    ca,
-    refined_mesh,
-    require_casadi,
-    straight_guess,
-)
 from sim_heating.planning.optimal.spec import OptimalStudy
 from sim_heating.planning.soak import SURROUNDINGS_K, with_soak
 from sim_heating.trajectory.trimmed_aero import ELEVON_HIGH, ELEVON_LOW
@@ -97,7 +85,7 @@ class EntrySearch:
     """
 
     def __init__(self, study: OptimalStudy) -> None:
-        require_casadi()
+        collocation.require_casadi()
         self.study = study
         self.aero = tables.aerodynamics(study)
         self.with_bondline_limit = [i for i, p in enumerate(study.points) if p.bondline_K is not None]
@@ -110,18 +98,22 @@ class EntrySearch:
         self.wall = tables.wall_temperatures(study, self.aero, self.models) if limited else None
         self.problem = self._problem()
 
-    def _problem(self) -> OptimalControlProblem:
+    def _problem(self) -> collocation.OptimalControlProblem:
         file, points = self.study.declared, len(self.with_bondline_limit)
-        x, u = ca.MX.sym("x", od.STATES + points), ca.MX.sym("u", 2)
+        x, u = collocation.ca.MX.sym("x", od.STATES + points), collocation.ca.MX.sym("u", 2)
         air = tables.atmosphere_splines()
         h, V, alpha = x[od.ALTITUDE], x[od.SPEED], u[od.ALPHA]
-        coefficients = tables.lift_drag(self.study, self.aero)(ca.vertcat(V / air.sound(h), alpha))
-        force = 0.5 * ca.exp(air.ln_density(h)) * V**2 * self.aero.area_m2 / self.aero.mass_kg
-        wall = ca.MX(0, 1) if self.wall is None else self.wall(ca.vertcat(h, V, alpha))
+        coefficients = tables.lift_drag(self.study, self.aero)(collocation.ca.vertcat(V / air.sound(h), alpha))
+        force = 0.5 * collocation.ca.exp(air.ln_density(h)) * V**2 * self.aero.area_m2 / self.aero.mass_kg
+        wall = collocation.ca.MX(0, 1) if self.wall is None else self.wall(collocation.ca.vertcat(h, V, alpha))
         limits = self.study.flight_limits
-        pressure = 0.5 * ca.exp(air.ln_density(h)) * V**2
+        pressure = 0.5 * collocation.ca.exp(air.ln_density(h)) * V**2
         radians = alpha * np.pi / 180.0
-        normal = force * (coefficients[0] * ca.cos(radians) + coefficients[1] * ca.sin(radians)) / G0_M_S2
+        normal = (
+            force
+            * (coefficients[0] * collocation.ca.cos(radians) + coefficients[1] * collocation.ca.sin(radians))
+            / G0_M_S2
+        )
         paths = [wall]
         for value, limit in ((pressure, limits.dynamic_pressure_Pa), (normal, limits.normal_load_g)):
             paths += [] if limit is None else [value / limit]
@@ -129,8 +121,10 @@ class EntrySearch:
         load_rates = [1e3 * wall[i] - SURROUNDINGS_K for i in self.with_bondline_limit]
         start = np.concatenate((_initial_state(self.study), np.zeros(points)))
         loads = np.full(points, LOAD_SCALE)
-        return OptimalControlProblem(
-            model=ca.Function("model", [x, u], [ca.vertcat(*rates, *load_rates), ca.vertcat(*paths)]),
+        return collocation.OptimalControlProblem(
+            model=collocation.ca.Function(
+                "model", [x, u], [collocation.ca.vertcat(*rates, *load_rates), collocation.ca.vertcat(*paths)]
+            ),
             goal=od.cross_range_function(start, self.side),
             scale=np.concatenate((od.SCALE, loads)),
             control_scale=od.CONTROL_SCALE,
@@ -170,7 +164,7 @@ class EntrySearch:
         turned[angles] = _initial_state(self.study)[angles]
         return turned
 
-    def guess(self) -> Motion:
+    def guess(self) -> collocation.Motion:
         """First guess: straight lines to a final state with some 20 deg of cross-range."""
         file = self.study.declared
         end = self.problem.start.copy()
@@ -184,9 +178,9 @@ class EntrySearch:
         alpha = min(max(18.0, low), high)
         bank = np.clip(np.array([-70.0 * self.side, 0.0]), file.bank_limits_deg[0], file.bank_limits_deg[1])
         duration = min(max(2000.0, file.duration_s[0]), file.duration_s[1])
-        return straight_guess(self.problem, end, np.array([[alpha, alpha], bank]), duration)
+        return collocation.straight_guess(self.problem, end, np.array([[alpha, alpha], bank]), duration)
 
-    def conditions(self, motion: Motion) -> Conditions:
+    def conditions(self, motion: collocation.Motion) -> Conditions:
         """Flight conditions of a motion every SAMPLE_S, its end included."""
         time = np.unique(np.append(np.arange(0.0, motion.duration_s, SAMPLE_S), motion.duration_s))
         return tables.conditions_along(
@@ -211,7 +205,7 @@ class EntrySearch:
             for p, h in zip(self.study.points, histories, strict=True)
         )
 
-    def flight_peaks(self, motion: Motion, flown: Conditions) -> tuple[FlightPeak, ...]:
+    def flight_peaks(self, motion: collocation.Motion, flown: Conditions) -> tuple[FlightPeak, ...]:
         """Highest values of the limited quantities of a flight, from the tables themselves."""
         pressure = 0.5 * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2
         seen = zip(flown["mach"].tolist(), flown["alpha_deg"].tolist(), flown["velocity_m_s"].tolist(), strict=True)
@@ -245,14 +239,14 @@ class EntrySearch:
             lines.append(f"elevon at an end of its travel for {duration:.0f} s from {first:.0f} s: not in trim")
         return lines
 
-    def hottest(self, motion: Motion) -> FloatArray:
+    def hottest(self, motion: collocation.Motion) -> FloatArray:
         """Highest T_e of each point along a motion [K]."""
         if self.wall is None:
             return np.zeros(len(self.study.points))
         _, paths = self.problem.model.map(motion.states.shape[1])(motion.states, motion.controls_at(motion.time_s))
         return np.asarray(np.max(1e3 * np.array(paths)[: len(self.study.points)], axis=1), dtype=float)
 
-    def loads(self, motion: Motion) -> FloatArray:
+    def loads(self, motion: collocation.Motion) -> FloatArray:
         """Integral of T_e - SURROUNDINGS_K of each point at the end [K s]; 0 where its bondline has no limit."""
         loads = np.zeros(len(self.study.points))
         loads[self.with_bondline_limit] = motion.states[od.STATES :, -1]
@@ -320,7 +314,7 @@ class OptimalEntry:
     """
 
     study: OptimalStudy
-    motion: Motion
+    motion: collocation.Motion
     conditions: Conditions
     cross_range_km: float
     histories: tuple[PointHistory, ...]
@@ -380,9 +374,9 @@ class _Steering:
     flight_limits: int
     rounds: list[tuple[FloatArray, FloatArray]]
 
-    def bounds(self) -> UpperBounds:
+    def bounds(self) -> collocation.UpperBounds:
         """The bounds in the units and order of the problem."""
-        return UpperBounds(
+        return collocation.UpperBounds(
             (tuple(self.wall_K / 1e3) if self.limited else ()) + (1.0,) * self.flight_limits,
             {od.STATES + k: self.load_K_s[i] for k, i in enumerate(self.loaded)},
         )
@@ -406,7 +400,7 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
     )
     motion, rounds = search.guess(), list[OptimisationRound]()
     mesh = np.linspace(0.0, 1.0, study.declared.intervals + 1)
-    transcription = Transcription(search.problem, mesh)
+    transcription = collocation.Transcription(search.problem, mesh)
     for _ in range(ROUNDS):
         try:
             motion = transcription.solve(motion, steering.bounds())
@@ -421,7 +415,7 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
         )
         progress(_round_line(rounds[-1]))
         changed = _steer(steering, search, motion, peaks, study.declared.tolerance_K)
-        finer = refined_mesh(motion, study.declared.mesh_tolerance, BEND)
+        finer = collocation.refined_mesh(motion, study.declared.mesh_tolerance, BEND)
         fine = worst <= study.declared.mesh_tolerance
         finest = len(finer) == len(motion.mesh)
         if not changed and (fine or finest):
@@ -431,13 +425,13 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
         # A new mesh makes a new program without a previous solution; while the mesh is fine enough, or as fine as it
         # can be, the old one starts warm.
         if not fine and not finest:
-            transcription = Transcription(search.problem, finer)
+            transcription = collocation.Transcription(search.problem, finer)
     why = f"no convergence in {ROUNDS} rounds, mesh error {worst:.1e}; raise mesh_tolerance or tolerance_K"
     raise RunError(_failure(study, rounds, why))
 
 
 def _steer(
-    s: _Steering, search: EntrySearch, motion: Motion, peaks: Sequence[PeakTemperatures], tolerance_K: float
+    s: _Steering, search: EntrySearch, motion: collocation.Motion, peaks: Sequence[PeakTemperatures], tolerance_K: float
 ) -> bool:
     """Change the bounds by the distances of the marched peaks from their limits; False where no bound has to change.
 
@@ -475,7 +469,7 @@ def _load_per_K(s: _Steering, i: int, bondline_K: float) -> float:
     return proportional
 
 
-def _entry(search: EntrySearch, motion: Motion, rounds: Sequence[OptimisationRound]) -> OptimalEntry:
+def _entry(search: EntrySearch, motion: collocation.Motion, rounds: Sequence[OptimisationRound]) -> OptimalEntry:
     flown = search.conditions(motion)
     histories = search.march(flown, search.models)
     notes = search.notes(flown)
@@ -497,7 +491,7 @@ def _entry(search: EntrySearch, motion: Motion, rounds: Sequence[OptimisationRou
     return replace(entry, status=_status(entry))
 
 
-def _mesh_note(study: OptimalStudy, motion: Motion) -> str:
+def _mesh_note(study: OptimalStudy, motion: collocation.Motion) -> str:
     """What a mesh that cannot be refined further leaves, and where."""
     coarse = motion.errors > study.declared.mesh_tolerance
     worst = int(np.argmax(motion.errors))

@@ -1,7 +1,5 @@
 """Tables that are no text: Parquet and Excel, old and new, by pandas, TDMS of LabVIEW by npTDMS."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -12,6 +10,8 @@ from sim_heating.base.files import display_path
 from sim_heating.heating.recorded.cells.block import Block, cell_text, of_frame
 from sim_heating.templates.loggers.layout_file import LoggerLayout
 
+TDMS_UNITS = ("unit_string", "NI_UnitDescription")
+"""Properties of a channel of a TDMS file that state its unit; the first that is there holds."""
 KINDS = {b"PAR1": "parquet", b"PK\x03\x04": "xlsx", b"\xd0\xcf\x11\xe0": "xls", b"TDSm": "tdms"}
 """First bytes -> kind of file."""
 LIBRARIES = {"parquet": "pyarrow", "xlsx": "openpyxl", "xls": "xlrd", "tdms": "nptdms"}
@@ -70,12 +70,12 @@ def _tdms(path: Path, layout: LoggerLayout) -> Block:
     from nptdms import TdmsFile
 
     read = TdmsFile.read(str(path))
-    groups = {g.name: g for g in read.groups() if any(len(c) for c in g.channels())}
+    groups = {g.name: g for g in read.groups() if any(map(len, g.channels()))}
     channels = groups[chosen_name(path, "group", list(groups), layout)].channels()
     columns: dict[str, object] = {}
     units: dict[str, str] = {}
     steps = {float(c.properties["wf_increment"]) for c in channels if c.properties.get("wf_increment")}
-    lengths = {len(c) for c in channels}
+    lengths = set(map(len, channels))
     if len(lengths) > 1 or len(steps) > 1:
         raise InputError(f"{display_path(path)}: the channels of the group differ in length or rate; export one rate")
     if steps:
@@ -84,8 +84,8 @@ def _tdms(path: Path, layout: LoggerLayout) -> Block:
         units["time"] = "s"
     for channel in channels:
         columns[channel.name] = channel[:]
-        unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
-        units |= {channel.name: str(unit)} if unit else {}
+        stated = filter(None, map(channel.properties.get, TDMS_UNITS))
+        units[channel.name] = str(next(stated, ""))
     return of_frame(path, pd.DataFrame(columns), units, "TDMS", 1)
 
 

@@ -13,8 +13,6 @@ unit = "degC"
 depth = "back"
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar, Literal, Self
@@ -121,9 +119,10 @@ class LoggerLayout(Declared):
         return _checked(unit, KIND_OF_KEY[str(info.field_name)])
 
     def with_options(self, options: Mapping[str, object]) -> Self:
-        """The layout with keys that options state in its place."""
-        layout = self.model_copy(update=dict(options))
-        layout._options = self._options | set(options)
+        """The layout with keys that options state in its place; an option that is None states nothing."""
+        stated = {key: value for key, value in options.items() if value is not None}
+        layout = self.model_copy(update=stated)
+        layout._options = self._options | set(stated)
         return layout
 
     def option(self, key: str) -> str:

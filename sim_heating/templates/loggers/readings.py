@@ -8,8 +8,6 @@ user's guide (overload 9.9E+37), Maxim MAX31855 (full scale 2047.75 degC at an o
 on)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -56,16 +54,27 @@ def fault_codes(values: FloatArray) -> BoolArray:
         # a steady heating leaves nothing in second differences, whose noise is larger by the root of 3
         steady, moving = (1.4826 * float(np.median(np.abs(np.diff(values[others], n)))) for n in (2, 1))
         for i in np.flatnonzero(is_code):
-            k = int(np.searchsorted(others, i))
-            sides = [values[others[j]] for j in (k - 1, k) if 0 <= j < len(others)]
-            first, second = values[others[:2]]
-            is_at_power_on = code == POWER_ON and k == 0 and first < min(code, second)
-            if len(sides) < 2 and code in DROPPED and not is_at_power_on:
-                continue
-            apart = abs(sides[0] - sides[-1])
-            scale = moving if len(sides) < 2 and code in OPEN else min(moving, steady / math.sqrt(3.0))
-            is_fault[i] = min(abs(x - code) for x in sides) > max(SIGMAS * scale, LEAST * apart, 10.0 * SMALLEST)
+            is_fault[i] = _is_fault(code, int(np.searchsorted(others, i)), values[others], steady, moving)
     return is_fault
+
+
+def _is_fault(code: float, k: int, others: FloatArray, steady: float, moving: float) -> bool:
+    """Whether a code that comes before reading k of the others is one of a fault.
+
+    steady, moving : noise of the others under a steady heating, and with what moves them
+    """
+    sides = [others[j] for j in (k - 1, k) if 0 <= j < len(others)]
+    is_at_end = len(sides) < 2
+    if is_at_end and code in DROPPED and not _is_at_power_on(code, k, others):
+        return False
+    scale = moving if is_at_end and code in OPEN else min(moving, steady / math.sqrt(3.0))
+    apart = abs(sides[0] - sides[-1])
+    return bool(min(abs(x - code) for x in sides) > max(SIGMAS * scale, LEAST * apart, 10.0 * SMALLEST))
+
+
+def _is_at_power_on(code: float, k: int, others: FloatArray) -> bool:
+    """Whether a code comes before k other readings as that of power on does: first, and these do not fall on."""
+    return bool(code == POWER_ON and k == 0 and others[0] < min(code, others[1]))
 
 
 def far_off(values: FloatArray) -> BoolArray:

@@ -5,8 +5,6 @@ table, constant parameters over one manoeuvre. It is the ratio of a fully cataly
 recombination, as that of a table is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -168,7 +166,7 @@ class FlownData:
             for m in flight.manoeuvres
             if m.kind in kinds
         ]
-        candidates = sorted((f for f in near if f[0] <= MACH_SPAN), key=lambda f: f[0])
+        candidates = sorted(filter(lambda f: f[0] <= MACH_SPAN, near), key=lambda f: f[0])
         description = f"{MANOEUVRE_NAMES[kinds[0]]} near Mach {mach:g}"
         if not candidates:
             others = ", ".join(f"{f[3].shuttle_mach:.1f}" for f in near) or "none at all"
