@@ -8,6 +8,8 @@ The Kalman filter (Kalman 1960) gives its value at each flight from that flight 
 the next flight. The first flight has no value before it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -7,6 +7,8 @@ Where the records of a control point each cannot tell the same names apart, all 
 name that most records put first among those that every one of them allows.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

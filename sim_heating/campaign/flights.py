@@ -4,6 +4,8 @@ A flight is a set of records that share a clock and flight conditions, one a con
 of records, or flown in a scenario and measured with its sensor model.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

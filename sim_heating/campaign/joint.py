@@ -1,5 +1,7 @@
 """Manoeuvres that several flights have in common, and whether their fits agree."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

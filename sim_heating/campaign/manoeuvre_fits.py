@@ -1,5 +1,7 @@
 """Fits of manoeuvres, each flight by itself and all flights of one manoeuvre together, as jobs that can be resumed."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field

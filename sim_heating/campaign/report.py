@@ -1,5 +1,7 @@
 """Report of a campaign: one page, and its fits as CSV."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace

@@ -13,6 +13,8 @@ Every finished part is kept in a ledger: a campaign that was interrupted goes on
 have changed repeats what depends on them.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 import os

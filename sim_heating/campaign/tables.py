@@ -1,5 +1,7 @@
 """The tables of a vehicle revised by the fits of a campaign, and what they predict before and after."""
 
+from __future__ import annotations
+
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -4,6 +4,8 @@
 and the modules of the program within its functions only (tests/cli/test_startup.py).
 """
 
+from __future__ import annotations
+
 import errno
 import os
 import sys

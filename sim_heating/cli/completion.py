@@ -1,5 +1,7 @@
 """The command `sim-heating completion`, and the names that tab completion offers."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterator, Mapping
 from itertools import repeat

@@ -5,6 +5,8 @@ a scenario (`popu_mach20`), a path below the shipped scenarios or their records 
 documentation gives (`scenarios/popu_mach20.toml`). A line on standard error says that the shipped one is taken.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Values of repeatable options of the form NAME=VALUE."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 
 import click

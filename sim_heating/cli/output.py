@@ -14,6 +14,8 @@
 A number that is not finite is null. Progress, warnings and errors go to standard error, with and without --json.
 """
 
+from __future__ import annotations
+
 import json
 import logging
 import math

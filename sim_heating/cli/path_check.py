@@ -1,5 +1,7 @@
 """Recognise a path as a record, vehicle, scenario, study, estimate or another file that people write, and check it."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """The command `sim-heating plan`."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import click

@@ -4,6 +4,8 @@
 compares it with these.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache

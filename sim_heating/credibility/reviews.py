@@ -14,6 +14,8 @@ that of the files as they are now, the review does not count, and the statement 
 cryptographic signature: who may write the file may write the name.
 """
 
+from __future__ import annotations
+
 import datetime
 import hashlib
 from collections.abc import Sequence

@@ -4,6 +4,8 @@ A level counts only when all levels below it are reached, so that a rule is neve
 evidence that is taken away never raises a level.
 """
 
+from __future__ import annotations
+
 import tomllib
 from collections.abc import Collection
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """The credibility statement as a section of a page, and as tables for a terminal."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,5 +1,7 @@
 """The credibility statement of a result: the level of each factor, the evidence behind it, and what is missing."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,6 +4,8 @@ docs/theory/model_error.md, equations 1 to 5. Responses are taken about the valu
 those that it has found.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 

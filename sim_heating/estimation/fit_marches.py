@@ -1,5 +1,7 @@
 """Marches of the records of a fit: made once, set to other parameters, the latest result of each group stored."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 

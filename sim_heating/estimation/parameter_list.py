@@ -7,6 +7,8 @@ parameter's own prior is left out, so that the bound can be compared with it. Co
 that does not fit the readings, make the bounds of a fit larger.
 """
 
+from __future__ import annotations
+
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -5,6 +5,8 @@ Records on common times share lane groups, whichever problem they belong to (rec
 remain separate.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice

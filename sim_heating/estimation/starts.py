@@ -15,6 +15,8 @@ lost      the declared model up to a time before which readings were lost; the h
 Equations 2 to 6 of docs/theory/clocks_and_starts.md, with a comparison of the first three.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
 from functools import lru_cache, partial
 

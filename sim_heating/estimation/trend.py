@@ -7,6 +7,8 @@ over the one before, the heating until then is unknown and adds its directions (
 refined mesh that corrects the predictions (FitProblem.correct_meshes) pass from segment to segment as well.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -6,6 +6,8 @@ standard deviation of RATIO_SIGMA of the ratio. What the wall keeps of them is t
 (docs/theory/clocks_and_starts.md, equation 6).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,6 +4,8 @@ Parameters of heating and stack are those of a control point, shared by all its 
 initial profiles belong to one record. Names may have an owner (inputs/parameter_owners.py).
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

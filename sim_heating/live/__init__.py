@@ -12,6 +12,8 @@ or a whole link with its network: `run_link(LinkEngine(load_link("scenarios/live
 when they are first used. Everything that is not in `__all__` may move between releases.
 """
 
+from __future__ import annotations
+
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

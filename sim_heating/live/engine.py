@@ -6,6 +6,8 @@ A message is in the journal before anything is made of it. The estimate is a fun
 their times, so that an engine that takes the messages of a journal again comes to the same numbers.
 """
 
+from __future__ import annotations
+
 import math
 import time
 from collections import Counter, deque

@@ -4,6 +4,8 @@
 the format: a display written by others reads them.
 """
 
+from __future__ import annotations
+
 import json
 import math
 from collections.abc import Mapping, Sequence

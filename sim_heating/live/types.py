@@ -4,6 +4,8 @@ A source yields messages. The mapping of the link turns each into frames and rea
 there on times are flight times [s] and values are in SI units.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -16,6 +16,8 @@ prior. Several sizes, and several estimates that the evidence cannot tell apart,
 normal distributions.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -12,6 +12,8 @@ heating  The size of the heating's error, as the readings say with the wall free
 The values stay those of the estimate. Source: docs/theory/model_error.md, equations 5 and 12.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

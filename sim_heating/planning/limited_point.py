@@ -1,5 +1,7 @@
 """Vehicle and limited control points of a study, as studies and optimal entries use them."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 from sim_heating.inputs.vehicle import ControlPoint

@@ -1,5 +1,7 @@
 """Part of a study: its arguments, its result, and the digest that its finished batches depend on."""
 
+from __future__ import annotations
+
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

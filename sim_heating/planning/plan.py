@@ -5,6 +5,8 @@ fails is reported in one line, and the results of the others are kept. Linear al
 batches: a study gives the same bytes whatever the number of cores, and whatever the process did before.
 """
 
+from __future__ import annotations
+
 import os
 from dataclasses import dataclass, field, replace
 from functools import cached_property

@@ -27,6 +27,8 @@ sigma_T^2 = dT/dz' M^-1 dT/dz. Tables of different control points are treated on
 common are not known.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 

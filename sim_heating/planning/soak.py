@@ -1,5 +1,7 @@
 """The soak after a flight: heat flows inwards to the bondline while nothing heats the surface from outside."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,5 +1,7 @@
 """The material library: materials by the names that people use, from the general library and from all vehicles."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

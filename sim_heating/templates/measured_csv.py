@@ -5,6 +5,8 @@ with the reason of each choice. What a file does not state at all, such as a uni
 readings tell it, and asked for where they do not.
 """
 
+from __future__ import annotations
+
 import math
 import re
 import warnings

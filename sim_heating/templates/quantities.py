@@ -1,5 +1,7 @@
 """Numbers with units as people type them, `0.4 mm`, `2 kW/m2`, `21 degC`, in SI units."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping
 from pathlib import Path

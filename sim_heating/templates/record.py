@@ -4,6 +4,8 @@ The record is checked as a whole before it is written, so that it validates and 
 `close-loop` as it is.
 """
 
+from __future__ import annotations
+
 import math
 import os
 import re

@@ -1,5 +1,7 @@
 """Text of the templates in this folder, with values written as TOML."""
 
+from __future__ import annotations
+
 from functools import cache
 from typing import Any
 

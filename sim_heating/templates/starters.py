@@ -1,5 +1,7 @@
 """Scenarios, studies and user-defined effects to go on from, each checked before it is written."""
 
+from __future__ import annotations
+
 import math
 import os
 import re

@@ -1,5 +1,7 @@
 """A vehicle directory from length, mass, nose radius and the layers of its control points, that flies as it is."""
 
+from __future__ import annotations
+
 import math
 import os
 import re

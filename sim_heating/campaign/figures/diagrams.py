@@ -1,5 +1,7 @@
 """Figures 1 and 3: the systems approach and the estimator as boxes and arrows, in the program's own words."""
 
+from __future__ import annotations
+
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

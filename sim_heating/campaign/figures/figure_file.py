@@ -1,5 +1,7 @@
 """One figure of the paper with its data, and its files."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

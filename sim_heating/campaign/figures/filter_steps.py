@@ -1,5 +1,7 @@
 """Figure 4: temperatures a priori and a posteriori of the Kalman filter, from approximate initial conditions."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

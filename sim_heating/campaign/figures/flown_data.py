@@ -5,6 +5,8 @@ table, constant parameters over one manoeuvre. It is the ratio of a fully cataly
 recombination, as that of a table is.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

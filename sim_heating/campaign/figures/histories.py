@@ -1,5 +1,7 @@
 """Time histories about manoeuvres, figures 5, 6, 7, 10, 11 and 13: measured, predicted, fitted; the angles beneath."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -5,6 +5,8 @@ side, where their heat shields are of different kinds. There the wall is not iso
 differs from that of the tables.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

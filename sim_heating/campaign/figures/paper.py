@@ -1,5 +1,7 @@
 """The list of the paper's figures, what flights give of it, and the files of the command."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """The OMS pod, figures 14 and 17: onset of impingement and dependence on Reynolds number, flight over wind tunnel."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import Any
 

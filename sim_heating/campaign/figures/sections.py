@@ -1,5 +1,7 @@
 """Figure 2: cross sections of the heat shield at the control points of the paper, with the depths of thermocouples."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any

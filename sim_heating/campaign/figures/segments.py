@@ -5,6 +5,8 @@ angle of attack that the fit is about. Over the turbulent flat plate of Eckert t
 another reference film coefficient.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Figure 18: a transient run in the wind tunnel of felt behind a steel leading edge: the lag of its thermocouple."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np

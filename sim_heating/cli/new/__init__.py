@@ -1,5 +1,7 @@
 """The commands `sim-heating new record`, `vehicle`, `scenario`, `effect` and `study`."""
 
+from __future__ import annotations
+
 import click
 
 from sim_heating.cli.console import HelpfulGroup

@@ -1,5 +1,7 @@
 """The commands `sim-heating new scenario` and `new study`: what is flown, and what is planned with it."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Any
 

@@ -1,5 +1,7 @@
 """Options that the commands below `sim-heating new` have in common."""
 
+from __future__ import annotations
+
 import sys
 from collections.abc import Callable
 from typing import Any

@@ -1,5 +1,7 @@
 """What the commands below `sim-heating new` print: what was assumed, what was made, and the commands that come next."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
 

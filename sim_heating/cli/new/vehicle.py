@@ -1,5 +1,7 @@
 """The command `sim-heating new vehicle`."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Any
 

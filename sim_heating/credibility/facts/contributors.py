@@ -12,6 +12,8 @@ The standard deviations of the wall are those of `sim_heating.base.parameters`, 
 priors.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,5 +1,7 @@
 """Facts about the flight of a scenario, from which its credibility follows."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 

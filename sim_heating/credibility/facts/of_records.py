@@ -1,5 +1,7 @@
 """Facts about predictions and fits of flight records, from which their credibility follows."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -1,5 +1,7 @@
 """Sources and confidences that declared inputs state, and what a result was made from."""
 
+from __future__ import annotations
+
 import itertools
 import re
 from collections.abc import Iterable

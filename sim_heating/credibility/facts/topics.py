@@ -1,5 +1,7 @@
 """Equations that a result uses, as topics of verification rows."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 
 from sim_heating.heating.reference.recovery import Recovery

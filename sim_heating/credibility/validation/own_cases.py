@@ -4,6 +4,8 @@ The folder is `validation` in the working directory, or the one that SIM_HEATING
 `sim-heating credibility add` and carries the digest of its content: one that was changed since is not read.
 """
 
+from __future__ import annotations
+
 import os
 from pathlib import Path
 

@@ -9,6 +9,8 @@ An interval is stated with DIGITS digits. A result that is outside of it by less
 larger end is within it: the interval does not resolve that distance.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Check of predicted bounds by repeated fits of simulated readings, with truths drawn from the priors."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,5 +1,7 @@
 """What supports a design of manoeuvres, factor by factor."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from dataclasses import replace
 

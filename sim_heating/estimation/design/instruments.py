@@ -1,5 +1,7 @@
 """Bounds with other instruments on a given flight, and without some of the thermocouples."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

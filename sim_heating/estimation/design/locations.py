@@ -10,6 +10,8 @@ Source: docs/how_to/manoeuvre_design.md, equation 5a; the founding paper asks fo
 which may not be identified until after a first flight".
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -3,6 +3,8 @@
 The pictures show the planned and the optimal manoeuvre, the bounds along each number, and those with other instruments.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -5,6 +5,8 @@ a limit rank behind all that keep the limits, by how far they exceed them; the r
 and keeps all limits.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 

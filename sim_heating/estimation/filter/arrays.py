@@ -4,6 +4,8 @@ Symbols are those of docs/theory/filter.md, equations 1 to 14: state z (node tem
 disturbance d [-]), covariance P, sensitivities s, rows R.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

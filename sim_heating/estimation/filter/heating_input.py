@@ -27,6 +27,8 @@ the readings have no information. Half amplitude: the frequency at which a sine 
 Derived in docs/theory/residual_heating.md, equations 1 to 11.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

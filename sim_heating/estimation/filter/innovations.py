@@ -19,6 +19,8 @@ Estimation with Process and Measurement Noise", SIAM J. Appl. Math. 41 (1981). D
 docs/theory/estimation_statistics.md, equations 32 to 35.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 

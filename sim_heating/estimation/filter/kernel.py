@@ -23,6 +23,8 @@ After a given time the covariances may be frozen: as long as readings lie where 
 are used again. Derived in docs/theory/filter.md, equations 1 to 14.
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -7,6 +7,8 @@ batch filter has them (records.filter_samples): a reading corrects the temperatu
 the lagging one by as much. docs/theory/filter.md, equation 23.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 

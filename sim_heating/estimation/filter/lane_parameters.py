@@ -1,5 +1,7 @@
 """What prior and readings say of the parameters of the points of an online filter, and where each is linearised."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

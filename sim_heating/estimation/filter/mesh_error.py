@@ -8,6 +8,8 @@ with nothing measured. The limit of fine meshes is, for an error of second order
 which is what a fit of the whole record corrects (docs/theory/estimation_statistics.md, equation 31).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -15,6 +15,8 @@ That is the Kalman filter of state and parameters together in the form of Friedl
 docs/theory/filter.md, equations 17 to 21.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,5 +1,7 @@
 """Flight records as input of a Kalman filter, and a start for a fit from the data before it; docs/theory/filter.md."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

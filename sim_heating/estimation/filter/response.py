@@ -9,6 +9,8 @@ row that of a reading within step k. Phi, Gamma and rows come from the factorise
 that the added history makes. Derived in docs/theory/residual_heating.md, equations 1 and 2.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 

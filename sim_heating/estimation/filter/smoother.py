@@ -11,6 +11,8 @@ z and P filtered at the start of the step; linearised where the filter was. Deri
 equations 14 to 16.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

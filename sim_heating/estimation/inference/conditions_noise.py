@@ -15,6 +15,8 @@ d_i [s] the share of row i and phi_k the hat function of knot k. These values jo
 (inference/model_error.py). Derived in docs/theory/model_error.md, equations 9 and 10.
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

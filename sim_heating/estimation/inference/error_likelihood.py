@@ -1,5 +1,7 @@
 """Likelihood, innovations and size of the error of a record's model: the algebra of inference/model_error.py."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -6,6 +6,8 @@ parameters of correlation rho have the eigenvalues 1 +- rho. A direction is sing
 a threshold. Derived in docs/theory/estimation_statistics.md, equations 18 and 19.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 

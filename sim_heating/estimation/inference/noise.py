@@ -7,6 +7,8 @@ over sigma at the fitted predictions; the last term corrects for the p fitted pa
 point of chi-square. Derived in docs/theory/estimation_statistics.md, equation 21.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

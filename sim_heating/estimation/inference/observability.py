@@ -6,6 +6,8 @@ effect on all samples, and where its bound over the variable's own excursion is 
 than it is known to, and for which the ratio table has nodes.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Sequence
 
 import numpy as np

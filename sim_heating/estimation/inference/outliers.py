@@ -15,6 +15,8 @@ the recorder's word give. Source of the scale: P. J. Rousseeuw and C. Croux, "Al
 Deviation", J. Am. Stat. Assoc. 88 (1993).
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace

@@ -13,6 +13,8 @@ hardly tells, it is none: the profile is what it is. Where D stays below the lim
 there and is open. Derived in docs/theory/estimation_statistics.md, equation 26a.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

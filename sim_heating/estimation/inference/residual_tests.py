@@ -5,6 +5,8 @@ rounded sample is not normal even where everything is right. Statistics: docs/th
 equations 12, 27 and 28.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 

@@ -12,6 +12,8 @@ docs/theory/estimation_statistics.md, equations 5 to 9. Identities of the moment
 "Finding the Observed Information Matrix when Using the EM Algorithm", J. R. Stat. Soc. B 44 (1982).
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -5,6 +5,8 @@ samples (estimation/filter/smoother.py), all as indications of the sensors. Wher
 its smoothed history.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,5 +1,7 @@
 """The page of a fit: parameters, errors, measured against predicted, and the tests of the residuals."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from itertools import starmap
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Pictures of a fit: measured against predicted, before and after."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """A fit as a posterior that a sampler takes: log density, gradient, names, priors and bounds."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

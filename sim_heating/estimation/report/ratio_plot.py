@@ -1,5 +1,7 @@
 """Heating ratio against each variable that was flown, with bands, as figures 8, 12 and 14 of the founding paper."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any

@@ -3,6 +3,8 @@
 Each states the parameters, if it is about any, what is remarkable, and what it usually means. They change no estimate.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations

@@ -1,5 +1,7 @@
 """Output files of a fit: estimate.json, temperatures and pictures; trend.csv of short segments."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict

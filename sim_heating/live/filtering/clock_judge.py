@@ -1,5 +1,7 @@
 """Judgement of clocks: which samples are in order, late, or on another clock."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 from sim_heating.live.filtering.estimates import Notices

@@ -1,5 +1,7 @@
 """Options of a running estimate, and what it gives: estimates, innovations and notices."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

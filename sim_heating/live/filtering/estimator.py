@@ -18,6 +18,8 @@ The estimate is a function of the samples alone, bit for bit, not of the order i
 Filter: docs/theory/filter.md, section "Parameters as the readings come".
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 

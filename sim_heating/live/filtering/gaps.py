@@ -4,6 +4,8 @@ Over a gap altitude, speed and density go on as they did before; where the clock
 numbers of the frames nor the time of their arrival is asked: what is told of a flight depends on its samples alone.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 

@@ -11,6 +11,8 @@ K is a smooth error of unit variance; sigma its standard deviation, that of T at
 least. Derived in docs/theory/clocks_and_starts.md, equations 4 and 8.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 
 import numpy as np

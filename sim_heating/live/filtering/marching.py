@@ -1,5 +1,7 @@
 """March of all filters over one step with its readings."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 

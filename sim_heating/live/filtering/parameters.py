@@ -1,5 +1,7 @@
 """Parameters of a running estimate: which ones it can have, and the priors of those that none was given for."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 

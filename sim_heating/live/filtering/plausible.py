@@ -4,6 +4,8 @@ A frame whose values are impossible by themselves is refused where it is mapped.
 altitude, density and time, is seen over a stretch of them; a link goes on, as a flight cannot be refused.
 """
 
+from __future__ import annotations
+
 from collections import deque
 from operator import attrgetter
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Control points of a link: their models, their sensors, and the flight conditions that a frame gives them."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache

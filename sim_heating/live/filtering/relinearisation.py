@@ -1,5 +1,7 @@
 """The flight so far filtered again, linearised about its estimate: what earlier readings said is then said about it."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

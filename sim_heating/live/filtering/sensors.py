@@ -1,5 +1,7 @@
 """Sensors of all points of a link: their readings as the filter takes them, and what they ought to show."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

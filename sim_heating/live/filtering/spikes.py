@@ -6,6 +6,8 @@ the next reading but one. Whether a suspected reading is used is for the filter:
 expected.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping, Sequence
 

@@ -1,5 +1,7 @@
 """Temperatures that a running estimate begins with, from the declaration of the wall or from the first readings."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 

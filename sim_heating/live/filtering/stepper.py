@@ -4,6 +4,8 @@ Steps end at frames; frames on a straight line are passed over, up to `wait_s`, 
 belongs before what has been filtered has one rule: the filter returns to the snapshot before it and filters on.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

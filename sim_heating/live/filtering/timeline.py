@@ -10,6 +10,8 @@ already, with other values. Those times, from the first to the last, are as long
 come. That they have ended is known once the newest frame has gone on by a window since the last of them came.
 """
 
+from __future__ import annotations
+
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence

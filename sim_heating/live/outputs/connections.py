@@ -1,5 +1,7 @@
 """Connections to the page that send nothing, or are too many, take nothing from the link."""
 
+from __future__ import annotations
+
 import asyncio
 
 from uvicorn.protocols.http.h11_impl import H11Protocol

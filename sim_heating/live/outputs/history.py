@@ -1,5 +1,7 @@
 """The past of a link for a page that is opened late: bounded, however long the link lasts."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

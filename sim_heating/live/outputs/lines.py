@@ -9,6 +9,8 @@ that is no number would make it go over to the time of arrival for good: none is
 whole state is served by `server.PageServer` at `/lines`.
 """
 
+from __future__ import annotations
+
 import asyncio
 import contextlib
 import json

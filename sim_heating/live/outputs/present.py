@@ -1,5 +1,7 @@
 """The present state of a link: estimates, health, what is out of use and what the model lacks."""
 
+from __future__ import annotations
+
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -15,6 +15,8 @@ entry, and what lies between is reported (`Skipped`). A link that goes on from a
 aside and goes on in one of the sound entries.
 """
 
+from __future__ import annotations
+
 import contextlib
 import json
 import os

@@ -4,6 +4,8 @@ What is estimated, shown and predicted may differ: all of it is made again from 
 is followed, may not.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

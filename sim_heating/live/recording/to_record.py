@@ -4,6 +4,8 @@ Times are put in order, and of samples of one time the first that came counts. W
 stretch between two jumps is the record: times before and after a jump are not of one clock. The journal keeps all.
 """
 
+from __future__ import annotations
+
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence

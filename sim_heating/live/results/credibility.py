@@ -1,5 +1,7 @@
 """What supports the estimates of a link, factor by factor."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

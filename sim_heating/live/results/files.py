@@ -1,5 +1,7 @@
 """Results of a link: live.json with the last state and all remarks, report.html, and the flight as records."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Mapping
 from pathlib import Path

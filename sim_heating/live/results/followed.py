@@ -1,5 +1,7 @@
 """What a link followed, for its report: readings with what was expected of them, estimates along the flight."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable, Mapping
 

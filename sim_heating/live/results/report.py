@@ -1,5 +1,7 @@
 """The report of a link that has ended as a page: what came, what was estimated, what was taken out, what is missing."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from itertools import starmap
 from typing import Any

@@ -4,6 +4,8 @@ A source is a decoder of bodies with a way in which bodies come. The journal kee
 the decoder each time they are read.
 """
 
+from __future__ import annotations
+
 from sim_heating.live.sources.source import Remark, SourceStream, check_sources, decoder_of, open_source
 
 __all__ = ["Remark", "SourceStream", "check_sources", "decoder_of", "open_source"]

@@ -1,5 +1,7 @@
 """What has come in over a link: samples of its messages, how many and how often, and the latest of each."""
 
+from __future__ import annotations
+
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field

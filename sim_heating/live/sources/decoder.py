@@ -1,5 +1,7 @@
 """What all decoders share: from a body to a message, and values as numbers or texts by field."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any, Protocol
 

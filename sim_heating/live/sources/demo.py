@@ -5,6 +5,8 @@ manoeuvre, as when a link comes up in mid-flight: flight conditions ten times an
 flight. Until then the flight goes as fast as it can.
 """
 
+from __future__ import annotations
+
 import asyncio
 import contextlib
 import json

@@ -1,5 +1,7 @@
 """Packages of the extra `live`, or one line where one is missing."""
 
+from __future__ import annotations
+
 from importlib.util import find_spec
 
 from sim_heating.base.errors import InputError

@@ -4,6 +4,8 @@ A label is the caption that the output gives its property, else the last part of
 labels once, when it starts: for an output that began before the link, the link file names the fields.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 
 from sim_heating.base.errors import InputError

@@ -1,5 +1,7 @@
 """Lines of JSON: one object a line."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 

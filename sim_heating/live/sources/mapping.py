@@ -15,6 +15,8 @@ One that does not come within the first seconds is derived from those that do, a
 is sent is never replaced: where the field comes after all, it is used from then on.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -4,6 +4,8 @@ A body is the topic, a zero byte and the payload. A payload that is a JSON objec
 gives a field of the topic's name; a payload of a topic alone has no time, so its time is that of `time_s` in an object.
 """
 
+from __future__ import annotations
+
 import asyncio
 import os
 from collections.abc import AsyncIterator, Callable, Mapping

@@ -4,6 +4,8 @@ A datagram holds whole bodies. A stream is cut where a line or packet ends; what
 damaged body of its own, so that nothing that came is lost without a word.
 """
 
+from __future__ import annotations
+
 import asyncio
 import contextlib
 import errno

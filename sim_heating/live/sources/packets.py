@@ -1,5 +1,7 @@
 """CCSDS space packets, described by an XTCE document, through space-packet-parser."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate, takewhile

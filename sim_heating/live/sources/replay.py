@@ -4,6 +4,8 @@ Messages are lines of JSON with the names and units of the record, in the order 
 reading of the same time.
 """
 
+from __future__ import annotations
+
 import asyncio
 import json
 import math

@@ -1,5 +1,7 @@
 """The sources of a link by their kind."""
 
+from __future__ import annotations
+
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass

@@ -5,6 +5,8 @@ the estimator expected. What they decide is a function of the readings alone. A 
 stated time on, a little after the reading that told, so that the decision does not depend on how the readings came.
 """
 
+from __future__ import annotations
+
 import math
 from collections import deque
 from collections.abc import Mapping

@@ -4,6 +4,8 @@ The journal is closed as a record without the sensors that stick or flicker, and
 it, drifts of the sensors among them. The link goes on meanwhile.
 """
 
+from __future__ import annotations
+
 import multiprocessing
 import os
 import tempfile

@@ -21,6 +21,8 @@ A recorder word tells an interval. Its score is the expected value of the standa
 which exp(l) is smaller still on average (Jensen's inequality, as exp(l) is convex in the innovation).
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, field
 

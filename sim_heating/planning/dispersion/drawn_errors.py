@@ -6,6 +6,8 @@ else by their prior; g are independent standard normal numbers. Each control poi
 two of them are is not known. Source: docs/theory/model_error.md, equations 1, 1a and 5.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

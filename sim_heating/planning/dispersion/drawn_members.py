@@ -6,6 +6,8 @@ standard normal numbers. They stand in place of the study's own inputs of the sa
 place of the error of the ratio table, as in the bands of a prediction.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

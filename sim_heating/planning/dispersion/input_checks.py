@@ -1,5 +1,7 @@
 """Inputs of a dispersed entry that no flight can have, told before any flight."""
 
+from __future__ import annotations
+
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import repeated_name
 from sim_heating.planning.dispersion.entry import DispersedEntry, require_pyarrow

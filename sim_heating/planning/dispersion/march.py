@@ -4,6 +4,8 @@ The ensemble is packed once. For each eight flights the dispersed numbers are wr
 back, and every group is marched. Only peaks are kept, so that memory does not grow with the number of flights.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,5 +1,7 @@
 """Dispersed flights that have one member of a set of estimates: its control points marched in lanes."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property

@@ -3,6 +3,8 @@
 Pictures: peaks of all flights with their limits, first-order quantiles against those counted, what drives each peak.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

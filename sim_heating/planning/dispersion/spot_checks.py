@@ -5,6 +5,8 @@ CA cannot be given to JSBSim, so these flights have none, with either source; po
 and the heating has no error.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

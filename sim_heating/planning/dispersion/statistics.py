@@ -13,6 +13,8 @@ Sources: David and Nagaraja, Order Statistics (2003), section 7.1; Clopper and P
 Saltelli et al., Comput. Phys. Commun. 181 (2010) 259.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Sequence
 from copy import copy

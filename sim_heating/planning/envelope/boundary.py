@@ -5,6 +5,8 @@ of its temperature, is negative. Its edges at z and -z are the band about the ed
 the edge lies inside with the probability of z sigma. Next to a flight that could not be flown nothing is allowed.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 

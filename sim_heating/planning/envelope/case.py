@@ -13,6 +13,8 @@ y the offset to starboard, a half the difference of the elevons, y_e their dista
 yawing moment of the elevons and the change of the path are neglected.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any

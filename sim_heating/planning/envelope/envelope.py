@@ -5,6 +5,8 @@ are computed in batches (base/parallel/batches.py), each result a file of a ledg
 along one axis (boundary.py), and flights are added at the edges that were found.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence

@@ -9,6 +9,8 @@
 A case that cannot be flown has no margins and states why in one line.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 

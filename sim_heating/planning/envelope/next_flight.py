@@ -7,6 +7,8 @@ evidence of an estimate with these bounds on the ratio table of a control point 
 boundary stays where it is; its band becomes narrower.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,5 +1,7 @@
 """Pictures of an envelope: maps, boundaries, two revisions side by side, and the ranking of manoeuvres."""
 
+from __future__ import annotations
+
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -3,6 +3,8 @@
 If the study names a vehicle `before`, the boundaries of both revisions are compared: what flight data opened or closed.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,5 +1,7 @@
 """Maps and boundaries of an envelope as CSV files, as plain values for study.json, and as tables for the page."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from operator import itemgetter
 from pathlib import Path

@@ -11,6 +11,8 @@ Source: Betts, "Practical Methods for Optimal Control and Estimation Using Nonli
 chapter 4; Waechter and Biegler, Math. Program. 106 (2006) 25-57 (IPOPT).
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -12,6 +12,8 @@ Source: Vinh, Busemann and Culp, "Hypersonic and Planetary Entry Flight Mechanic
 north here). With w = 0 they are those of Betts 2010, eqs. 6.1 to 6.6.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any
 

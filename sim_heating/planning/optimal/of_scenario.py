@@ -5,6 +5,8 @@ flight keeps them, soak included; where it does not, they are what the flight re
 that the nominal flight exceeds, most searches find no flight at all.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """The optimal entry of a study as files, tables and a picture: ground track, controls, temperatures."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from itertools import count

@@ -13,6 +13,8 @@ in any way (Bonferroni): all points stay below their limits with a probability o
 First the problem of a study (`EntrySearch`), then the search (`fly_optimal`) and its result.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist

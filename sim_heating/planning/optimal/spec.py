@@ -11,6 +11,8 @@ probability = 0.95                  # of keeping all limits, by the sigma of the
 [flight_limits]                     # dynamic_pressure_Pa, normal_load_g, alpha_rate_deg_s, bank_rate_deg_s, likewise
 """
 
+from __future__ import annotations
+
 import os
 from dataclasses import dataclass
 from pathlib import Path

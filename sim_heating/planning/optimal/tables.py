@@ -5,6 +5,8 @@ the temperature of a wall that stores no heat over altitude, speed and alpha: cu
 package's own functions give. They only steer the optimiser; the temperatures of the result are marched.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

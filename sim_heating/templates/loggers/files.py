@@ -1,5 +1,7 @@
 """Tables that are no text: Parquet and Excel, old and new, by pandas, TDMS of LabVIEW by npTDMS."""
 
+from __future__ import annotations
+
 import re
 from pathlib import Path
 

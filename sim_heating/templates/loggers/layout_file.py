@@ -13,6 +13,8 @@ unit = "degC"
 depth = "back"
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar, Literal, Self

@@ -3,6 +3,8 @@
 source : NI, Specification for the LabVIEW Measurement File (.lvm)
 """
 
+from __future__ import annotations
+
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -8,6 +8,8 @@ user's guide (overload 9.9E+37), Maxim MAX31855 (full scale 2047.75 degC at an o
 on)
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 

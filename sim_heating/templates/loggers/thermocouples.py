@@ -6,6 +6,8 @@ e the emf in the file, T_ref the temperature of the reference junction, E the re
 junction at 0 degC. source: NIST Monograph 175 (1993), by the package thermocouple-its90.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
