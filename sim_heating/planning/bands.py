@@ -435,9 +435,11 @@ def require_points(members: Sequence[Member], names: Sequence[str], of_vehicle: 
     raises : InputError with the member's file for an estimate of none of the run's points, or for a prior of a point
              that the vehicle does not have; parameters of a fit may also be of its records
     """
-    for m in (m for m in members if m.estimate is not None):
-        of_points = {label.partition(AT)[2] for label in m.estimate.parameters}
-        of_points = {m.estimate.control_point} if m.estimate.control_point else of_points
+    for m in members:
+        if m.estimate is None:
+            continue
+        owners = {label.partition(AT)[2] for label in m.estimate.parameters}
+        of_points = {m.estimate.control_point} if m.estimate.control_point else owners
         absent = sorted(of_points - {"", *of_vehicle}) if m.considered is None else []
         if absent:
             raise InputError(f"{m.source}: the vehicle has no control point `{absent[0]}`{_hint(absent[0], names)}")

@@ -255,10 +255,6 @@ class Timeline:
             self.frames.append(frame)
             self.newest_s = t
             return Placed.TAKEN
-        return self._put_late_frame(frame)
-
-    def _put_late_frame(self, frame: Frame) -> Placed:
-        t = frame.time_s
         at = bisect_left(self.frames_s, t)
         if at < len(self.frames_s) and self.frames_s[at] == t:
             if self.repeated is not None:
@@ -460,14 +456,6 @@ class Timeline:
         if row[1] == LATE_IN_A_ROW or (is_too_late and row[2] == TOO_LATE_IN_A_ROW):
             self.late_sensors.append((number, since_s, is_too_late))
 
-    def _note_difference(self, word: Word, last_s: float) -> None:
-        """Note where a reading differs from the last one put, of the sensor whose latest is of a time [s]."""
-        t, number, value_K = word
-        if self.gate_K is not None:
-            if abs(value_K - self._last_K.get(number, value_K)) > self.gate_K[number]:
-                self.differs_s += min(last_s, t), t
-            self._last_K[number] = value_K
-
     def _insert(self, word: Word) -> Placed:
         t, number, value_K = word
         self._note_lateness(number, t)
@@ -484,7 +472,10 @@ class Timeline:
             self._note_jump(before, word)
             self._note_jump(word, after)
             readings.insert(at, word)
-        self._note_difference(word, last_s)
+        if self.gate_K is not None:
+            if abs(value_K - self._last_K.get(number, value_K)) > self.gate_K[number]:
+                self.differs_s += min(last_s, t), t
+            self._last_K[number] = value_K
         if t > last_s:
             self._note_jump((last_s, number, last_K), word)
             self._last_word[number] = t, value_K
