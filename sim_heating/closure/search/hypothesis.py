@@ -447,7 +447,7 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     """
     admissible = [h for h in rated if h.admissible]
     best = admissible[0] if admissible else None
-    if best is None or best.score > -_least_gain(none):
+    if best is None or best.score > -least_gain(none):
         explains = none.adequate and _small_error(none)
         margin = min((h.score for h in admissible), default=np.inf)
         return Conclusion("none" if explains else "unknown", none, (), float(margin))
@@ -473,7 +473,7 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     return Conclusion("unknown", best, (), rival, fraction, beaten)
 
 
-def _least_gain(none: Hypothesis) -> float:
+def least_gain(none: Hypothesis) -> float:
     """By how much a cause has to be better than the declared model to be named [BIC].
 
     Errors of form give some gain over a model with exact heating that explains the record. An error of the heating

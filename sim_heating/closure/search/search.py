@@ -41,6 +41,7 @@ from sim_heating.closure.search.hypothesis import (
     conclude,
     fitted_anew,
     hypothesis,
+    least_gain,
     scored,
     with_one_more,
 )
@@ -151,7 +152,7 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
     leading = [*_leading(rated), *[h for h in rated if not h.admissible][: EFFORT.compared]]
     trials = in_processes([partial(with_own_error, h.last) for h in (none, *leading)])
     none, *judged = (fitted_anew(h, trial) for h, trial in zip((none, *leading), trials, strict=True))
-    return none, _worth_their_causes(scored(none, judged))
+    return none, _worth_their_causes(none, scored(none, judged))
 
 
 def _leading(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -161,19 +162,25 @@ def _leading(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
     return sorted([*first, *[h for h in admissible if h not in first]][: EFFORT.compared], key=lambda h: h.score)
 
 
-def _worth_their_causes(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _worth_their_causes(none: Hypothesis, rated: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses without those whose further causes gain too little over one with fewer that may be named.
 
     Over the simplest one that explains the record they gain `Policy.min_gain_over_adequate`, as the form of its cause
-    may be wrong; over others `Policy.min_gain_of_further`.
+    may be wrong; over others `Policy.min_gain_of_further`. Where no single cause is better than the declared model,
+    there are none: parts of two that cancel follow an error of the heating that is larger than stated.
     """
     best = {len(h.names): h for h in reversed(rated) if h.admissible}
+    is_one_named = 1 in best and best[1].score <= -least_gain(none)
     simplest = next((h for _, h in sorted(best.items()) if h.adequate), None)
 
     def to_beat(h: Hypothesis) -> float:
         return h.score - (POLICY.min_gain_over_adequate if h is simplest else POLICY.min_gain_of_further)
 
-    return [h for h in rated if all(h.score <= to_beat(fewer) for n, fewer in best.items() if n < len(h.names))]
+    return [
+        h for h in rated
+        if len(h.names) == 1
+        or (is_one_named and all(h.score <= to_beat(fewer) for n, fewer in best.items() if n < len(h.names)))
+    ]  # fmt: skip
 
 
 def _stage(progress: Progress, begin: float, end: float, label: str) -> Progress:
