@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     TrialFit,
     candidate_problem,
     corrected,
+    declared_values,
     fitted_values,
     held_out_problem_with,
     own_thinning_error,
@@ -74,7 +76,7 @@ class _ChangedModel:
 
     def start(self, value: float, *, declared: bool = False) -> FloatArray:
         """Vector of the base's estimates, or of its declared values, and a value of the change."""
-        first = np.array([p.value for p in self.base.problem.parameters]) if declared else self.base.fit.values
+        first = declared_values(self.base.problem) if declared else self.base.fit.values
         return first if self.change.parameter is None else np.append(first, value)
 
     def problem(self, value: float) -> FitProblem:
@@ -227,16 +229,24 @@ def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, mo
 def _evaluate_together(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -> list[Evaluation]:
     """Evaluation of each model at its own vector, all marched side by side; NaN likelihood where a march failed."""
     needed = [_marches(model, vector) for model, vector in zip(models, vectors, strict=True)]
-    # several models may need the same march: that of the record as declared
-    flat = {id(p): (p, v) for pairs in needed for p, v in pairs or () if not p.marches.has(v)}
-    marched = JointMarch([p for p, _ in flat.values()]).march([v for _, v in flat.values()]) if flat else []
-    failed = {key for key, done in zip(flat, marched, strict=True) if not done}
+    failed = _failed_marches([pair for pairs in needed for pair in pairs or ()])
     return [
         _failed(len(model.parameters))
         if pairs is None or any(id(p) in failed for p, _ in pairs)
         else model.evaluate(vector)
         for model, vector, pairs in zip(models, vectors, needed, strict=True)
     ]
+
+
+def _failed_marches(needed: Sequence[tuple[FitProblem, FloatArray]]) -> set[int]:
+    """Ids of the problems whose marches at their vectors fail; those that are not made yet are made side by side."""
+    # several models may need the same march: that of the record as declared
+    distinct = {id(p): (p, v) for p, v in needed if not p.marches.has(v)}
+    if not distinct:
+        return set()
+    problems, vectors = zip(*distinct.values(), strict=True)
+    marched = JointMarch(problems).march(vectors)
+    return {key for key, done in zip(distinct, marched, strict=True) if not done}
 
 
 def _marches(model: _ChangedModel, vector: FloatArray) -> list[tuple[FitProblem, FloatArray]] | None:
@@ -275,7 +285,6 @@ def best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[f
     returns : by change, gain [-], model and vector, of the best of the neutral value and its starts; a gain of minus
               infinity where the changed record cannot be marched
     """
-    gross_excess = 10.0  # excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
     starts = [(k, v) for k, c in enumerate(changes) for v in dict.fromkeys((c.neutral, *c.starts))]
     # one march as declared for all changes with the same free parameters
     freed = {free: _with_free(base, free) for free in {c.free for c in changes}}
@@ -283,18 +292,28 @@ def best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[f
     vectors = [m.start(value) for m, (_, value) in zip(models, starts, strict=True)]
     predicted = _predicted(models, vectors)
     # A swap distorts the estimates: where the declared values are likelier with the change, it starts from these.
-    gross = [
-        i for i, m in enumerate(models) if base.excess_chi2 > gross_excess and m.change.kind == "sensor" and not m.exact
-    ]
-    others = [models[i].start(starts[i][1], declared=True) for i in gross]
-    for i, vector, reached in zip(gross, others, _predicted([models[i] for i in gross], others), strict=True):
+    for i, vector, reached in _from_declared(base, models, [value for _, value in starts]):
         if reached[1] > predicted[i][1]:
             vectors[i], predicted[i] = vector, reached
-    best: dict[int, int] = {}
-    for i, (k, _) in enumerate(starts):
-        if k not in best or predicted[i][0] > predicted[best[k]][0]:
-            best[k] = i
-    return [(predicted[i][0] - base.fit.log_likelihood, models[i], vectors[i]) for _, i in sorted(best.items())]
+    of_changes = groupby(range(len(starts)), key=lambda i: starts[i][0])
+    best = [max(of_change, key=lambda i: predicted[i][0]) for _, of_change in of_changes]
+    return [(predicted[i][0] - base.fit.log_likelihood, models[i], vectors[i]) for i in best]
+
+
+def _from_declared(
+    base: TrialFit, models: Sequence[_ChangedModel], values: Sequence[float]
+) -> list[tuple[int, FloatArray, tuple[float, float]]]:
+    """Numbers of the models of a wrong sensor, their starts at the declared values, and what a step there predicts.
+
+    values : of the change, by model;  returns : none where the model is not far from the record
+    """
+    gross_excess = 10.0  # excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
+    if not base.excess_chi2 > gross_excess:
+        return []
+    numbers = [i for i, m in enumerate(models) if m.change.kind == "sensor" and not m.exact]
+    starts = [models[i].start(values[i], declared=True) for i in numbers]
+    predicted = _predicted([models[i] for i in numbers], starts)
+    return list(zip(numbers, starts, predicted, strict=True))
 
 
 def fit_changes(

@@ -20,6 +20,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     TrialFit,
     candidate_problem,
+    declared_values,
     fitted_values,
     problem_with,
     start_values,
@@ -63,7 +64,7 @@ def _predicted_gains(
         for c in candidates
     ]
     firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, candidates, strict=True)]
-    to_mean = np.array([p.value for p in base.problem.parameters]) - base.fit.values
+    to_mean = declared_values(base.problem) - base.fit.values
     # at their starts many candidates predict the same, which is scored once
     marched, scored = JointMarch(problems).march(firsts), dict[bytes, ScoredReadings]()
     gains = []
