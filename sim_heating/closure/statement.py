@@ -283,7 +283,7 @@ def _candidate_scores(result: SearchResult) -> list[CandidateScore]:
 
 
 def _shares(hypotheses: Iterable[Hypothesis]) -> dict[str, float]:
-    """Probability of each hypothesis that may be named among these and the declared model, by the names of its causes."""
+    """By names of causes, the probability of each hypothesis that may be named, and of the declared model."""
     return posteriors({" + ".join(h.names): h.score for h in hypotheses if h.admissible} | {NONE: 0.0})
 
 

@@ -16,17 +16,9 @@ import numpy as np
 from sim_heating.base.errors import InputError
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.ranking import delta_bic, needed_log_likelihood
+from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import (
-    CONVERGE,
-    TrialFit,
-    corrected,
-    fitted_values,
-    held_out_problem_with,
-    own_thinning_error,
-    problem_with,
-    start_values,
-)
+from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.closure.verdict.adequacy import assess
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.newton import NewtonSettings, Status
@@ -49,7 +41,7 @@ def refine(
     for contender in _contenders(base, forms, _fitted(base, forms, nameable)):
         by_name.setdefault(contender.name, []).append(contender)
     chosen = [min(rivals, key=lambda t: (not t.admissible, t.delta_bic)) for rivals in by_name.values()]
-    complete = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in chosen]
+    complete = [replace(t, held_out=trial_fit.held_out_problem_with(base, t.candidate)) for t in chosen]
     return sorted(complete, key=lambda t: t.delta_bic)
 
 
@@ -57,14 +49,16 @@ def fit_converged(
     bases: Sequence[TrialFit],
     candidates: Sequence[Candidate],
     starts: Sequence[Mapping[str, float]],
-    settings: Sequence[NewtonSettings] | NewtonSettings = CONVERGE,
+    settings: Sequence[NewtonSettings] | NewtonSettings = trial_fit.CONVERGE,
 ) -> list[TrialFit]:
     """Candidates fitted to convergence, each on top of its own model from values by dotted name, all side by side.
 
     returns : by candidate, its trial, without samples held out
     """
-    problems = [problem_with(*pair) for pair in zip(bases, candidates, strict=True)]
-    fits = maximise_together(problems, [start_values(*p) for p in zip(problems, starts, strict=True)], settings)
+    problems = [trial_fit.problem_with(*pair) for pair in zip(bases, candidates, strict=True)]
+    fits = maximise_together(
+        problems, [trial_fit.start_values(*p) for p in zip(problems, starts, strict=True)], settings
+    )
     return [
         TrialFit(c.name, c, problem, None, fit, delta_bic(base, fit, c, 1.0))
         for base, c, problem, fit in zip(bases, candidates, problems, fits, strict=True)
@@ -105,9 +99,9 @@ def _settings(base: TrialFit, form: _Form, nameable: Collection[str]) -> NewtonS
     Such a fit takes the most steps of all, and nobody asks for its result.
     """
     if form.has_led or form.leading.name not in nameable:
-        return CONVERGE
+        return trial_fit.CONVERGE
     needed = needed_log_likelihood(base, form.candidate, form.leading.delta_bic)
-    return replace(CONVERGE, needed_log_likelihood=needed)
+    return replace(trial_fit.CONVERGE, needed_log_likelihood=needed)
 
 
 def _contenders(base: TrialFit, forms: Sequence[_Form], fitted: Sequence[TrialFit]) -> list[TrialFit]:
@@ -122,7 +116,7 @@ def _contenders(base: TrialFit, forms: Sequence[_Form], fitted: Sequence[TrialFi
 
 def _fitted_on(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:
     """Trials fitted on to convergence from where they are."""
-    fits = maximise_together([t.problem for t in trials], [t.fit.values for t in trials], CONVERGE)
+    fits = maximise_together([t.problem for t in trials], [t.fit.values for t in trials], trial_fit.CONVERGE)
     return [
         replace(t, fit=fit, delta_bic=delta_bic(base, fit, t.candidate, 1.0))
         for t, fit in zip(trials, fits, strict=True)
@@ -149,11 +143,11 @@ def recorrected(trial: TrialFit, record: Record) -> TrialFit:
     the wall, the error of its own march differs by more than the noise.
     """
     try:
-        error_K, at_s = own_thinning_error(trial, record)
+        error_K, at_s = trial_fit.own_thinning_error(trial, record)
     except InputError:  # a broken sensor that one of the two leaves out
         return trial
-    again = corrected(trial, (error_K, at_s))
-    fit = maximise_together([again.problem], [trial.fit.values], CONVERGE)[0]
+    again = trial_fit.corrected(trial, (error_K, at_s))
+    fit = maximise_together([again.problem], [trial.fit.values], trial_fit.CONVERGE)[0]
     if not (np.any(error_K) and np.isfinite(fit.log_likelihood)):
         return trial
     delta = trial.delta_bic - 2.0 * (fit.log_likelihood - trial.fit.log_likelihood)
@@ -162,7 +156,7 @@ def recorrected(trial: TrialFit, record: Record) -> TrialFit:
 
 def _forms(base: TrialFit, trial: TrialFit, tried: Sequence[Candidate], predicted: Sequence[float]) -> list[_Form]:
     """Forms of an effect to be fitted."""
-    below, at = fitted_values(base), fitted_values(trial)
+    below, at = trial_fit.fitted_values(base), trial_fit.fitted_values(trial)
     led, forms = trial.candidate.form, [_Form(trial, trial.candidate, at)]
     for form, starts in list(_richest(trial.name, tried, predicted).items())[: EFFORT.rivals]:
         if led.is_special_case_of(form):

@@ -47,21 +47,13 @@ from sim_heating.closure.search.hypothesis import (
 from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, scored_trials
 from sim_heating.closure.search.refine import fit_converged, recorrected, refine
 from sim_heating.closure.search.table_candidates import table_candidates
+from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import Candidate, Form, candidates
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.free_forms import free_form, has_free_form
 from sim_heating.closure.search.trials.history_starts import history_starts
 from sim_heating.closure.search.trials.screening import fit_in_stages, gains_from, predicted_gains, select_candidates
-from sim_heating.closure.search.trials.trial_fit import (
-    TrialFit,
-    base_trial,
-    declared_fit,
-    fitted_values,
-    held_out_problem_with,
-    is_fitted,
-    sample_count,
-    with_own_error,
-)
+from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
 from sim_heating.inputs.points import conditions_of_record
@@ -118,8 +110,8 @@ def search_effects(
     raises : InputError, RunError where not even the declared model can be fitted
     """
     progress(0.02, "declared model")
-    before = declared_fit(record, names)
-    base = base_trial(before)
+    before = trial_fit.declared_fit(record, names)
+    base = trial_fit.base_trial(before)
     first = search_round(base, [], _stage(progress, 0.1, 0.35, "one effect"))
     search = _Search(record, first, hypothesis([base], {}))
     hypotheses = [search.stack([t]) for t in _refined(first, _stage(progress, 0.35, 0.45, "one effect"))]
@@ -150,7 +142,7 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
     if none.last.record_fit.model_error is None:
         return none, list(rated)
     leading = [*_leading(rated), *[h for h in rated if not h.admissible][: EFFORT.compared]]
-    trials = in_processes([partial(with_own_error, h.last) for h in (none, *leading)])
+    trials = in_processes([partial(trial_fit.with_own_error, h.last) for h in (none, *leading)])
     none, *judged = (fitted_anew(h, trial) for h, trial in zip((none, *leading), trials, strict=True))
     return none, _worth_their_causes(scored(none, judged))
 
@@ -212,9 +204,11 @@ def _changes(
 
 def _is_fitted_already(base: TrialFit, change: RecordChange, explained: Collection[str]) -> bool:
     """Whether the parameters of a change are fitted, or are those of an effect that explains the record."""
-    if change.in_model and change.parameter and is_fitted(base, change.parameter.name):
+    if change.in_model and change.parameter and trial_fit.is_fitted(base, change.parameter.name):
         return True
-    return bool(change.free) and (change.effect in explained or any(is_fitted(base, name) for name in change.free))
+    return bool(change.free) and (
+        change.effect in explained or any(trial_fit.is_fitted(base, name) for name in change.free)
+    )
 
 
 def _explaining(hypotheses: Sequence[Hypothesis]) -> set[str]:
@@ -228,7 +222,7 @@ def _candidates(base: TrialFit, excluded: Sequence[str]) -> list[Candidate]:
     flown = conditions_of_record(record)
     fitted = [n.split(".")[1] for n in base.record_fit.march_names if n.startswith(EFFECT_PREFIX)]
     tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*excluded, *fitted])
-    return [c for c in tried if not any(is_fitted(base, name) for name in c.model_names)]
+    return [c for c in tried if not any(trial_fit.is_fitted(base, name) for name in c.model_names)]
 
 
 def _refined(of_round: SearchRound, progress: Progress) -> list[TrialFit]:
@@ -350,7 +344,7 @@ class _Search:
         bases, starts = [stack[-1] for stack, _, _ in entries], [start for *_, start in entries]
         fitted = fit_converged(bases, [c for _, c, _ in entries], starts)
         return [
-            self.stack([*stack[1:], replace(t, held_out=held_out_problem_with(stack[-1], t.candidate))])
+            self.stack([*stack[1:], replace(t, held_out=trial_fit.held_out_problem_with(stack[-1], t.candidate))])
             for (stack, _, _), t in zip(entries, fitted, strict=True)
             if np.isfinite(t.fit.log_likelihood)
         ]
@@ -361,7 +355,7 @@ class _Search:
         """Of each set of effects, and each of them: the model with the others, the free form of it, and its start."""
         tried: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
         for h, freed in [(model, effect) for model in hypotheses for effect in model.trials]:
-            values, others = fitted_values(h.last), [t for t in h.trials if t is not freed]
+            values, others = trial_fit.fitted_values(h.last), [t for t in h.trials if t is not freed]
             key = (freed.name, *sorted(t.name for t in others))
             candidate = None if key in tried else free_form(self.first.base, freed, values)
             if candidate is not None:
@@ -375,17 +369,17 @@ class _Search:
         stack = [self.first.base]
         for trial in effects:
             below, candidate = stack[-1], trial.candidate
-            start = {**fitted_values(below), **{n: values[n] for n in candidate.names}}
+            start = {**trial_fit.fitted_values(below), **{n: values[n] for n in candidate.names}}
             (fitted,) = fit_converged([below], [candidate], [start])
             delta = delta_bic(self.first.base, fitted.fit, candidate, 1.0)
-            stack.append(replace(fitted, held_out=held_out_problem_with(below, candidate), delta_bic=delta))
+            stack.append(replace(fitted, held_out=trial_fit.held_out_problem_with(below, candidate), delta_bic=delta))
         return stack[1:]
 
     def pruned(self, rated: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best hypothesis without each of its effects in turn, where it has several."""
         if not rated or len(rated[0].trials) < 2 or rated[0].change is not None:
             return []
-        trials, values = rated[0].trials, fitted_values(rated[0].last)
+        trials, values = rated[0].trials, trial_fit.fitted_values(rated[0].last)
         stacks = [self.fitted_stack([t for t in trials if t is not left_out], values) for left_out in trials]
         return [self.stack(stack) for stack in stacks if np.isfinite(stack[-1].fit.log_likelihood)]
 
@@ -401,7 +395,7 @@ class _Search:
         for _ in range(EFFORT.rivals):
             if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
                 break
-            best, values = rated[0], fitted_values(rated[0].last)
+            best, values = rated[0], trial_fit.fitted_values(rated[0].last)
             stacks = [self.fitted_stack(effects, values) for effects in self._reduced(best)]
             stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
             exchanged += self.with_one_more(stacks, progress)
@@ -565,7 +559,7 @@ def search_round(base: TrialFit, excluded: Sequence[str], progress: Progress) ->
     by_history = history_starts(base, tried)
     gains += gains_from(base, by_history)
     tried += by_history
-    selected = sorted(select_candidates(tried, gains, sample_count(base.problem)))
+    selected = sorted(select_candidates(tried, gains, trial_fit.sample_count(base.problem)))
     progress(0.3, f"fitting {len(selected)} of {len(tried)} candidates")
     chosen = [tried[i] for i in selected]
     fitted = fit_in_stages(
@@ -586,11 +580,11 @@ def _round_of(
         delta = delta_bic(base, t.fit, t.candidate, 1.0)
         if np.isfinite(t.fit.log_likelihood) and (t.name not in best or delta < best[t.name].delta_bic):
             best[t.name] = replace(t, delta_bic=delta)
-    trials = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in best.values()]
+    trials = [replace(t, held_out=trial_fit.held_out_problem_with(base, t.candidate)) for t in best.values()]
     screened_out: dict[str, float] = {}
     for candidate, gain in zip(tried, gains, strict=True):
         if candidate.name not in best:
-            predicted = -2.0 * gain + len(candidate.names) * float(np.log(sample_count(base.problem)))
+            predicted = -2.0 * gain + len(candidate.names) * float(np.log(trial_fit.sample_count(base.problem)))
             screened_out[candidate.name] = min(predicted, screened_out.get(candidate.name, np.inf))
     forms = count_forms(tried)
     return SearchRound(base, scored_trials(base, trials, forms), screened_out, tuple(tried), tuple(gains), forms)
