@@ -90,8 +90,8 @@ class Policy:
     min_gain_over_adequate: float = rule(
         30.0,
         "BIC",
-        "A cause gains this over an exact model that explains the record, and further ones over the simplest that does: "
-        "errors of form give some gain.",
+        "A cause gains this over an exact model that explains the record, and further ones over the simplest that does"
+        ": errors of form give some gain.",
     )
     min_gain_of_further: float = rule(6.0, "BIC", "One cause more gains this over every model with fewer.")
     max_causes: int = rule(3, "1", "Causes of a model at most.")
