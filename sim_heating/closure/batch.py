@@ -11,17 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from sim_heating.base import files
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import (
-    exclusive,
-    output_directory,
-    require_writable,
-    results_digest,
-    roots_of,
-    settle_below,
-    write_csv,
-    write_json,
-)
 from sim_heating.base.files.package import package_version
 from sim_heating.base.files.paths import real_path
 from sim_heating.base.parallel.batches import Job, run_batches
@@ -60,7 +51,7 @@ def find_records(paths: Sequence[Path], root: Path | None = None) -> list[Path]:
             below = sorted(p.parent for p in path.glob(f"*/{DECLARATION}"))
             if not below:
                 raise InputError(f"{path}: holds neither {DECLARATION} nor directories that do; give flight records")
-            roots = roots_of(path / DECLARATION, root)
+            roots = files.roots_of(path / DECLARATION, root)
             for record in below:
                 roots.check_link(record)
             records += below
@@ -112,10 +103,10 @@ def close_all(
 
     labels = record_names(records, root)
     jobs = [record_job(path, out / label, root, names, label) for path, label in zip(records, labels, strict=True)]
-    with exclusive(out):
+    with files.exclusive(out):
         # Before the work: a place that cannot hold results must not be found out after it.
-        for folder, files in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
-            require_writable(folder, COMMAND, expected=files, inputs=records)
+        for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
+            files.require_writable(folder, COMMAND, expected=names, inputs=records)
         try:
             outcome = run_batches(
                 jobs,
@@ -127,7 +118,7 @@ def close_all(
                 progress=progress,
             )
         except KeyboardInterrupt:  # processes that were ended leave what they had begun to write
-            settle_below(out)
+            files.settle_below(out)
             raise
         rows, residuals = [], []
         for label, job in zip(labels, jobs, strict=True):
@@ -138,8 +129,8 @@ def close_all(
             else:
                 rows.append({"record": label, "failed": outcome.failed[job.id]})
                 residuals.append(None)
-        with output_directory(out, COMMAND, inputs=records) as folder:
-            write_json(folder / JSON, {"format": "closure-summary/1", "records": rows})
+        with files.output_directory(out, COMMAND, inputs=records) as folder:
+            files.write_json(folder / JSON, {"format": "closure-summary/1", "records": rows})
             _write_summary_csv(folder / CSV, rows)
             write_batch_page(folder / PAGE, rows, residuals)
     return rows
@@ -184,14 +175,14 @@ def _close_record(task: Task) -> bytes:
     finished = {
         "row": summary_row(closed.report),
         "residuals": residual_history(closed.report),
-        "results": results_digest(task.out),
+        "results": files.results_digest(task.out),
     }
     return json.dumps(finished).encode()
 
 
 def results_are_there(job: Job, finished: bytes) -> bool:
     """Whether the folder of a finished job, `task.out`, still holds what was written into it."""
-    return bool(json.loads(finished)["results"] == results_digest(job.task.out))
+    return bool(json.loads(finished)["results"] == files.results_digest(job.task.out))
 
 
 def summary_row(report: Any) -> dict[str, Any]:
@@ -229,4 +220,4 @@ def _write_summary_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     columns["named"] = [row.get("named", "") for row in rows]
     for name in ("probability", "p_value", "noise_floor_K", *ERROR_COLUMNS):
         columns[name] = np.array([np.nan if row.get(name) is None else row[name] for row in rows])
-    write_csv(path, columns)
+    files.write_csv(path, columns)

@@ -14,7 +14,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
-from sim_heating.closure.search.refine import CONVERGE
+from sim_heating.closure.search.trials.trial_fit import CONVERGE
 from sim_heating.estimation.fit import FitResult, predict_fit
 from sim_heating.estimation.inference.error_likelihood import flight_response
 from sim_heating.estimation.inference.newton import Priors

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -273,12 +274,17 @@ def _candidate_scores(result: SearchResult) -> list[CandidateScore]:
     before."""
     first = result.first
     scored = {h.names[0]: h for h in reversed(result.hypotheses) if len(h.names) == 1}
-    shares = posteriors({name: h.score for name, h in scored.items() if h.admissible} | {NONE: 0.0})
+    shares = _shares(scored.values())
     rows = [(NONE, 0.0, result.none.last)]
     rows += [(h.names[0], h.delta_bic(result.none), h.last) for h in scored.values()]
     rows += [(t.name, t.delta_bic, t) for t in first.trials if t.name not in scored]
     rows += [(name, delta, result.none.last) for name, delta in first.screened_out.items() if name not in scored]
     return [_candidate_score(name, delta, [trial], shares) for name, delta, trial in rows]
+
+
+def _shares(hypotheses: Iterable[Hypothesis]) -> dict[str, float]:
+    """By names of causes, the probability of each hypothesis that may be named, and of the declared model."""
+    return posteriors({" + ".join(h.names): h.score for h in hypotheses if h.admissible} | {NONE: 0.0})
 
 
 # One record or several ------------------------------------------------------------------------------------------------
@@ -326,15 +332,17 @@ def _alternative_values(search: Compared) -> dict[str, dict[str, ParameterEstima
     sets = [names for names in conclusion.alternatives if len(names) > 1 or conclusion.finding == PARTLY]
     hypotheses = [conclusion.best, *(h for h in search.hypotheses if h.admissible)]
     values = {}
-    for name in (name for names in sets for name in names):
-        h = next((h for h in hypotheses if name in h.names or name in h.effects), None)
-        if h is not None and (estimates := _values_of(h, name)):
+    for name in chain.from_iterable(sets):
+        if estimates := _values_of(hypotheses, name):
             values[_in_words(search, name)] = estimates
     return values
 
 
-def _values_of(h: Hypothesis, name: str) -> dict[str, ParameterEstimate]:
-    """Estimates of a cause of a hypothesis by their names within it."""
+def _values_of(hypotheses: Sequence[Hypothesis], name: str) -> dict[str, ParameterEstimate]:
+    """Estimates of a cause by their names within it, of the first hypothesis with it; empty where none has it."""
+    h = next((h for h in hypotheses if name in {*h.names, *h.effects}), None)
+    if h is None:
+        return {}
     estimated = estimates_of(h.last.problem, h.last.fit)
     if h.changed is not None and h.change is not None and h.change.name == name:
         return change_parameters(h.changed, estimated)
@@ -343,9 +351,8 @@ def _values_of(h: Hypothesis, name: str) -> dict[str, ParameterEstimate]:
 
 def _findings(search: Compared, estimated: Mapping[str, ParameterEstimate]) -> list[Finding]:
     """The effects found; "none" or "unknown" where there are none."""
-    best, admissible = search.conclusion.best, [h for h in reversed(search.hypotheses) if h.admissible]
-    shares = posteriors({" + ".join(h.names): h.score for h in admissible} | {NONE: 0.0})
-    if not search.explained or not best.effects or (best.model is not None and best.kind != "effect"):
+    best, shares = search.conclusion.best, _shares(reversed(search.hypotheses))
+    if not _names_effects(search):
         name = search.conclusion.effect_name
         return [Finding(name, shares[NONE] if name == NONE else 1.0 - shares[NONE], {})]
     posterior = shares[" + ".join(best.names)]
@@ -354,6 +361,12 @@ def _findings(search: Compared, estimated: Mapping[str, ParameterEstimate]) -> l
         *(Finding(f.change.effect, posterior, change_parameters(f, estimated)) for f in of_change if f.change),
         *(Finding(t.name, posterior, effect_parameters(t, estimated), _sensor_of(t)) for t in best.added),
     ]
+
+
+def _names_effects(search: Compared) -> bool:
+    """Whether effects are the cause; what several records have in common may be another one, as a wrong wall."""
+    best = search.conclusion.best
+    return search.explained and bool(best.effects) and (best.model is None or best.kind == "effect")
 
 
 def estimates_of(problem: FitProblem, fit: Fit, sigma: FloatArray | None = None) -> dict[str, ParameterEstimate]:

@@ -9,7 +9,7 @@ import pytest
 
 from sim_heating.closure.plain_marches import plain_marches
 from sim_heating.closure.prior.model_error import flight_error
-from sim_heating.closure.search.refine import CONVERGE
+from sim_heating.closure.search.trials.trial_fit import CONVERGE
 from sim_heating.estimation.fit import fit_problem, predict_fit
 from sim_heating.estimation.inference.error_likelihood import model_error
 from sim_heating.estimation.inference.model_error import Correlation

@@ -67,7 +67,7 @@ def test_a_form_far_behind_one_that_may_be_named_ends_early_and_the_contenders_a
     assert behind
     assert all(fit.log_likelihood < found[0].fit.log_likelihood - 50.0 for fit in behind)
 
-    monkeypatch.setattr(refining, "_unless_behind", lambda *given: CONVERGE)
+    monkeypatch.setattr(refining, "_settings", lambda *given: CONVERGE)
     early, fits.made = fits.made, []
     assert same(refined(first_round), found)
     to_the_end = {fit.history[0].tobytes(): fit for fit in fits.made}

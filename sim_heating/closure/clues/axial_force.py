@@ -69,8 +69,7 @@ def axial_steps(record: Record) -> tuple[AxialStep, ...] | None:
     # Over twice the dynamic pressure: the acceleration itself varies with density and speed throughout.
     C = a[judged] / (flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2)[judged]
     angles = np.column_stack([flown[n][judged] for n in ANGLES])
-    scan = [(_step(t, C, angles, at), at) for at in 0.5 * (t[1:] + t[:-1])]
-    scanned = [(F, dof, size, at) for (F, dof, size), at in scan if dof > 0]
+    scanned = [(*step, at) for at in 0.5 * (t[1:] + t[:-1]) if (step := _step(t, C, angles, at))[1] > 0]
     # The number of places, as far apart as a step is not searched for, at which noise could have shown a step.
     windows = max(np.ptp(t) / half_window_s, 1.0) * half_window_s / blind_s
     steps: list[AxialStep] = []

@@ -267,17 +267,11 @@ def _comparison_section(closure: Closure) -> Section:
 
 def _parameters_section(closure: Closure) -> list[Section]:
     """Estimates of what was found, then those of the model; none where nothing was estimated."""
-    rows = [
-        [f"{e.title}: {n}", p.value, _sigma_cell(p), p.unit] for e in closure.effects for n, p in e.parameters.items()
-    ]
-    rows += [
-        [f"{c.kind}: {n}", p.value, _sigma_cell(p), p.unit]
-        for c in closure.statement.not_effects
-        for n, p in c.parameters.items()
-    ]
+    rows = [row for e in closure.effects for row in _estimate_rows(e.parameters, f"{e.title}: ")]
+    rows += [row for c in closure.statement.not_effects for row in _estimate_rows(c.parameters, f"{c.kind}: ")]
     of_effects = len(rows)
     derivatives = {n: p for n, p in closure.parameters.items() if not n.startswith(EFFECT_PREFIX)}
-    rows += [[n, p.value, _sigma_cell(p), p.unit] for n, p in derivatives.items()]
+    rows += _estimate_rows(derivatives)
     if not rows:
         return []
     about = derivatives_about(derivatives, closure.reference)
@@ -288,6 +282,11 @@ def _parameters_section(closure: Closure) -> list[Section]:
     columns.append(Column("unit", is_text=True))
     table = Table(caption, columns, rows, strong=list(range(of_effects)))
     return [Section("Estimated parameters", points=[r.in_words for r in closure.remarks], tables=[table])]
+
+
+def _estimate_rows(estimates: Mapping[str, ParameterEstimate], of_cause: str = "") -> list[list[Any]]:
+    """Cells of each estimate; of_cause : the cause that it is of, before its name."""
+    return [[of_cause + n, p.value, _sigma_cell(p), p.unit] for n, p in estimates.items()]
 
 
 def _sigma_cell(p: ParameterEstimate) -> float | str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +45,18 @@ def _pooled_predictions(joint: JointClosure) -> dict[str, Any] | None:
     return joint.pooled(predicted) if len(predicted) == len(joint.closures) else None
 
 
+def _pooled_floor_K(joint: JointClosure) -> float:
+    """Noise floor of the fitted samples of all records [K]."""
+    floors = [(c.noise_floor_K, int(np.count_nonzero(c.record.fit_mask()))) for c in joint.closures]
+    return float(np.sqrt(sum(n * k**2 for k, n in floors) / sum(n for _, n in floors)))
+
+
 def joint_closure_json(joint: JointClosure) -> dict[str, Any]:
     """The contents of closure.json."""
     effects = [e.as_json() for e in joint.effects]
     first, best = joint.closures[0], joint.search.best
-    floors = [(c.noise_floor_K, int(np.count_nonzero(c.record.fit_mask()))) for c in joint.closures]
-    floor = float(np.sqrt(sum(n * k**2 for k, n in floors) / sum(n for _, n in floors)))
+    by_record = zip(joint.closures, joint.search.evidence, joint.after, strict=True)
+    flights = {n: flight_as_json(e) for n, e in joint.flights.items()}
     return {
         "format": "closure-report/2",
         "records": [str(c.record.directory) for c in joint.closures],
@@ -57,18 +64,15 @@ def joint_closure_json(joint: JointClosure) -> dict[str, Any]:
         "predicted": _pooled_predictions(joint),
         "before": joint.pooled([c.before for c in joint.closures]),
         "after": joint.pooled(joint.after),
-        "noise_floor_K": finite_or_none(floor),
+        "noise_floor_K": finite_or_none(_pooled_floor_K(joint)),
         "reference_condition": first.reference_condition,
         "effect": effects[0],
         "effects": effects if joint.search.explained and best.kind == "effect" else [],
         **joint.statement.as_json(),
         "candidates": [c.as_json() for c in sorted(joint.candidates, key=lambda c: c.delta_bic)],
         "residual_heating": None,
-        "by_record": [
-            _record_json(c, e, after)
-            for c, e, after in zip(joint.closures, joint.search.evidence, joint.after, strict=True)
-        ],
-        "model_error": {"flights": {n: flight_as_json(e) for n, e in joint.flights.items()}} if joint.flights else None,
+        "by_record": list(starmap(_record_json, by_record)),
+        "model_error": {"flights": flights} if flights else None,
         "common_cost": best.common,
         "common_parameters": {} if best.model is None else dict(best.model.levels),
         "estimated": {n: p.as_json() for n, p in joint.parameters.items()},

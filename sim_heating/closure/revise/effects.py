@@ -15,7 +15,7 @@ Source: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -86,29 +86,13 @@ def effects_from_fit(
     flown, file     : records and times, and the revision's own file, for the `source` of an effect
     raises          : InputError where an effect is unknown, a value outside its bounds, or the file cannot be edited
     """
-    digits = 6  # significant digits of a written value, far below any sigma
     in_table = {u.effect.name for u in flight.in_table}
     every = _values_given_table(estimate, flight, table, turbulent)
-    given_table = {n: v for n, v in every.items() if n.removeprefix(EFFECT_PREFIX).rpartition(".")[0] not in in_table}
+    given_table = {n: v for n, v in every.items() if _split_label(n)[0] not in in_table}
+    estimated = _parameters_by_effect(given_table)
+    of_fit = _without_table(estimate, estimated, in_table)
     stays = (flight.path, point, table) if turbulent is None else None
-    estimated, estimates = _parameters_by_effect(given_table), {n: estimate.parameters[n] for n in given_table}
-    in_force = {e.name: e.parameters for e in estimate.effects}
-    stems = (*RECORD_PARAMETERS, SENSOR_PREFIX)
-    fitted, not_written = [], dict.fromkeys((n for n in estimate.parameters if n.startswith(stems)), OF_RECORD)
-    for name in dict.fromkeys((*in_force, *estimated)):
-        if name in in_table:
-            continue
-        used = use(name, in_force.get(name, {}) | estimated.get(name, {}))
-        if used.effect.acts_on_readings:
-            not_written[f"{EFFECT_PREFIX}{name}"] = OF_RECORD
-        elif name not in estimated:
-            not_written[f"{EFFECT_PREFIX}{name}"] = NOT_ESTIMATED + (
-                "" if stays is None else _turbulent_left(used, *stays)
-            )
-        else:
-            # Rounded before it is used, so that the errors reported for the revision are those of the file as written.
-            values = used.by_name if stays is None else _on_revised_table(used, *stays)
-            fitted.append(use(name, {n: float(f"{v:.{digits}g}") for n, v in values.items()}))
+    fitted, not_written = _written_or_not(of_fit, estimate, estimated, stays)
     after = combined_uses(point.effects, fitted)
     check_count(after, point.name)
     raw = raw_text(path)
@@ -120,10 +104,57 @@ def effects_from_fit(
         before=point.effects,
         after=after,
         written=tuple(u.effect.name for u in fitted),
-        shift_sigmas={n: abs(given_table[n] - p.value) / p.sigma for n, p in estimates.items() if p.sigma > 0.0},
+        shift_sigmas=_shift_sigmas(estimate, given_table),
         not_written=not_written,
-        not_fitted=tuple(u.effect.name for u in point.effects if u.effect.name not in {*in_force, *estimated}),
+        not_fitted=tuple(u.effect.name for u in point.effects if u.effect.name not in of_fit),
     )
+
+
+def _without_table(
+    estimate: Estimate, estimated: Mapping[str, Mapping[str, float]], in_table: Collection[str]
+) -> dict[str, EffectUse]:
+    """The effects of a fit by name, with their estimated values, but for those that the ratio table takes."""
+    in_force = {e.name: e.parameters for e in estimate.effects}
+    names = [name for name in dict.fromkeys((*in_force, *estimated)) if name not in in_table]
+    return {name: use(name, in_force.get(name, {}) | dict(estimated.get(name, {}))) for name in names}
+
+
+def _written_or_not(
+    of_fit: Mapping[str, EffectUse],
+    estimate: Estimate,
+    estimated: Mapping[str, Mapping[str, float]],
+    stays: tuple[FlownPath, ControlPoint, Posterior] | None,
+) -> tuple[list[EffectUse], dict[str, str]]:
+    """The effects of a fit as they are written, and why its other parameters and effects are not.
+
+    estimated : effect -> its estimated values;  stays : what a turbulent table that is not revised is weighed by
+    """
+    digits = 6  # significant digits of a written value, far below any sigma
+    stems = (*RECORD_PARAMETERS, SENSOR_PREFIX)
+    written, not_written = [], dict.fromkeys((n for n in estimate.parameters if n.startswith(stems)), OF_RECORD)
+    for name, used in of_fit.items():
+        if used.effect.acts_on_readings:
+            not_written[f"{EFFECT_PREFIX}{name}"] = OF_RECORD
+        elif name not in estimated:
+            turbulent_left = "" if stays is None else _turbulent_left(used, *stays)
+            not_written[f"{EFFECT_PREFIX}{name}"] = NOT_ESTIMATED + turbulent_left
+        else:
+            # Rounded before it is used, so that the errors reported for the revision are those of the file as written.
+            values = used.by_name if stays is None else _on_revised_table(used, *stays)
+            written.append(use(name, {n: float(f"{v:.{digits}g}") for n, v in values.items()}))
+    return written, not_written
+
+
+def _shift_sigmas(estimate: Estimate, values: Mapping[str, float]) -> dict[str, float]:
+    """Distance of each value from that of the fit, in sigmas of the fit."""
+    estimates = {n: estimate.parameters[n] for n in values}
+    return {n: abs(values[n] - p.value) / p.sigma for n, p in estimates.items() if p.sigma > 0.0}
+
+
+def _split_label(label: str) -> tuple[str, str]:
+    """Effect and parameter that a label is of."""
+    name, _, parameter = label.removeprefix(EFFECT_PREFIX).rpartition(".")
+    return name, parameter
 
 
 def _on_revised_table(used: EffectUse, path: FlownPath, point: ControlPoint, table: Posterior) -> dict[str, float]:
@@ -190,7 +221,7 @@ def _values_given_table(
 
 def _within_bounds(label: str, fitted: float, value: float) -> float:
     """A value within the bounds of its parameter; the fitted value always counts as within."""
-    name, _, parameter = label.removeprefix(EFFECT_PREFIX).rpartition(".")
+    name, parameter = _split_label(label)
     limits = next((p for p in effect(name).parameters if p.name == parameter), None)
     if limits is None:
         return value
@@ -202,7 +233,7 @@ def _parameters_by_effect(values: Mapping[str, float]) -> dict[str, dict[str, fl
     """Effect -> its estimated values by parameter."""
     by_effect: dict[str, dict[str, float]] = {}
     for label, value in values.items():
-        name, _, parameter = label.removeprefix(EFFECT_PREFIX).rpartition(".")
+        name, parameter = _split_label(label)
         by_effect.setdefault(name, {})[parameter] = value
     return by_effect
 

@@ -139,32 +139,39 @@ def flight_evidence(
     if names or in_table:
         path, outside = _inside(path, point)
     written = _representable(names, point)
-    if not written and not any(is_effect(n) for n in others):
+    if not written and len(_without_table(others)) == len(others):
         raise InputError(f"the table of {point.name} has too few nodes for {', '.join(names)}; add nodes there")
     fit = _FittedRatio(estimate, written, in_table, records[0])
     by_table = turbulent is not None and _by_table(fitted_use(estimate, TRANSITION))
     laminar_part = np.where(by_table, 1.0 - path.turbulent, 1.0)
     P, rows = np.zeros((0, len(path.x))), np.zeros((0, point.ratio.ratio.size))
     if names:
-        kept = [names.index(n) for n in written]
-        P = projection(names, path, fit.about)[kept]
+        P = projection(names, path, fit.about)[[names.index(n) for n in written]]
         # H = P W, with the multilinear weights W
         rows = np.asarray((node_weights(point.ratio.axes, path.x).T @ (P * laminar_part).T).T)
     at_zero = P @ (path.declared + fit.added(path.x))
     value = P @ (laminar_part * fit.ratio(path.x, path.declared))
     nodes = np.flatnonzero(np.any(rows != 0.0, axis=0))
     evidence = Evidence(written, nodes, rows[:, nodes], value, estimate.covariance(written))
-    flown: list[FlownRatio | None] = [None, None]
-    if written or in_table:
-        marched = _marched(estimate, records)
-        flown[0] = _flown(fit, marched, laminar or point.ratio, by_table, is_turbulent=False)
-        if by_table and turbulent is not None:
-            flown[1] = _flown(fit, marched, turbulent, by_table, is_turbulent=True)
+    tables = (laminar or point.ratio, turbulent if by_table else None)
+    flown = _flown_ratios(fit, _marched(estimate, records), *tables) if written or in_table else (None, None)
     not_written = dict.fromkeys(set(names) - set(written), "the table has too few nodes for it")
-    not_written |= dict.fromkeys((n for n in others if not is_effect(n)), "is neither of the ratio table nor an effect")
-    return FlightEvidence(
-        evidence, at_zero, P, path, outside, flown[0], flown[1], in_table, dict(sorted(not_written.items()))
-    )
+    not_written |= dict.fromkeys(_without_table(others), "is neither of the ratio table nor an effect")
+    return FlightEvidence(evidence, at_zero, P, path, outside, *flown, in_table, dict(sorted(not_written.items())))
+
+
+def _without_table(names: Sequence[str]) -> list[str]:
+    """Parameters besides those of the linear model that are of no effect, as those of sensors."""
+    return [n for n in names if not is_effect(n)]
+
+
+def _flown_ratios(
+    fit: _FittedRatio, path: FlownPath, laminar: RatioTable, turbulent: RatioTable | None
+) -> tuple[FlownRatio | None, FlownRatio | None]:
+    """The laminar and the turbulent ratio of a fit; tables before any revision, None where the turbulent one stays."""
+    by_table = turbulent is not None
+    of_laminar = _flown(fit, path, laminar, by_table, is_turbulent=False)
+    return of_laminar, None if turbulent is None else _flown(fit, path, turbulent, by_table, is_turbulent=True)
 
 
 def _check_weighable(estimate: Estimate, point: ControlPoint) -> None:

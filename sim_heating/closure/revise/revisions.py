@@ -24,24 +24,10 @@ from typing import Any
 
 import numpy as np
 
+from sim_heating.base import files
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, tell
-from sim_heating.base.files import (
-    DIGEST,
-    check,
-    digest_matches,
-    display_path,
-    exclusive,
-    json_text,
-    raw_text,
-    read_csv_columns,
-    read_json,
-    read_toml,
-    replace_files,
-    suggestion,
-    text_digest,
-    with_digest,
-)
+from sim_heating.base.files import display_path
 from sim_heating.base.files.paths import real_path
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.progress import Progress, no_progress
@@ -130,7 +116,7 @@ def read_history(vehicle: Vehicle, point: str) -> TableHistory:
              is not the one that its revisions make
     """
     path = table_path(vehicle, point)
-    raw = raw_text(path)
+    raw = files.raw_text(path)
     table = read_ratio_table(path)
     number = _revision_number(path, table.header)
     revisions: list[RevisionFile] = []
@@ -173,7 +159,7 @@ def read_turbulent_history(vehicle: Vehicle, history: TableHistory, point: str) 
     if sharing := _sharing(_declared(vehicle), point, name):
         return f"{name} is the table of {', '.join(sharing)} too; give {point} its own copy"
     path = vehicle.directory / name
-    raw, table = raw_text(path), read_ratio_table(path)
+    raw, table = files.raw_text(path), read_ratio_table(path)
     if table.sigma is None:
         return f"{name} has no sigma column to weigh the flight against; add one"
     revisions = [r for r in history.revisions if r.turbulent is not None]
@@ -196,13 +182,13 @@ def _parent_text(path: Path, text: str, parent: Path, file: Path, hashes: Revisi
     raises     : InputError where one of the two is another one
     """
     # A table that was edited no longer is what its evidence made it, and further updates would build on both.
-    if hashes.table_hash != text_digest(text):
+    if hashes.table_hash != files.text_digest(text):
         raise InputError(
             f"{display_path(path)}: was changed after {display_path(file)} was written; revert the change, or "
             "give the table a new `revision`"
         )
-    before = raw_text(parent)
-    if hashes.parent_hash != text_digest(before):
+    before = files.raw_text(parent)
+    if hashes.parent_hash != files.text_digest(before):
         raise InputError(
             f"{display_path(parent)}: is not the table that {display_path(file)} was made from; restore it"
         )
@@ -214,16 +200,16 @@ def _read_revision(file: Path, point: str, number: int) -> RevisionFile:
 
     raises : InputError where it was changed, or is that of another point or revision
     """
-    data, name = read_json(file), display_path(file)
-    revision = check({k: v for k, v in data.items() if k != DIGEST}, RevisionFile, name)
+    data, name = files.read_json(file), display_path(file)
+    revision = files.check({k: v for k, v in data.items() if k != files.DIGEST}, RevisionFile, name)
     if (revision.control_point, revision.revision) != (point, number):
         raise InputError(
             f"{name}: is revision {revision.revision} of {abbreviated(revision.control_point)}; this must be revision "
             f"{number} of {point}; restore the file"
         )
-    if not digest_matches(data):
+    if not files.digest_matches(data):
         raise InputError(
-            f"{name}: was changed after it was written (its content is not that of its `{DIGEST}`); restore it"
+            f"{name}: was changed after it was written (its content is not that of its `{files.DIGEST}`); restore it"
         )
     return revision
 
@@ -293,7 +279,7 @@ def _refuse_half_restored(directory: Path, point: str, number: int) -> None:
     if not following.is_file():
         return
     revision = _read_revision(following, point, number + 1)
-    if revision.point_hash is not None and revision.point_hash == text_digest(raw_text(file)):
+    if revision.point_hash is not None and revision.point_hash == files.text_digest(files.raw_text(file)):
         kept = revision_path(directory, point, number, "toml")
         raise InputError(
             f"{display_path(file)}: has the effects of revision {number + 1}, and the table is that of revision "
@@ -310,7 +296,7 @@ def revising(directory: str | os.PathLike[str], progress: Progress = no_progress
     """
     text = f"waiting for another process that revises {display_path(directory)}"
     # the predictions of the other one may take minutes
-    with exclusive(directory, wait_s=3600.0, waiting=lambda: progress(0.0, text)):
+    with files.exclusive(directory, wait_s=3600.0, waiting=lambda: progress(0.0, text)):
         yield
 
 
@@ -343,8 +329,8 @@ def write_revision(
         data |= {
             "revision": number,
             "parent": history.revision,
-            "point_parent_hash": text_digest(before) if effects else None,
-            "point_hash": text_digest(after) if effects else None,
+            "point_parent_hash": files.text_digest(before) if effects else None,
+            "point_hash": files.text_digest(after) if effects else None,
         }
         if turbulent is not None:
             old, revised = turbulent
@@ -352,8 +338,8 @@ def write_revision(
             data["turbulent"] = {**content["turbulent"], **_of_files(vehicle, old, turbulent_text)}
             new[revision_path(Path(), point, history.revision, TURBULENT)] = old.raw
             new[Path(data["turbulent"]["table"])] = turbulent_text
-        revision = check(data, RevisionFile, f"revision {number}")
-        new[revision_path(Path(), point, number, "json")] = json_text(with_digest(revision.model_dump()))
+        revision = files.check(data, RevisionFile, f"revision {number}")
+        new[revision_path(Path(), point, number, "json")] = files.json_text(files.with_digest(revision.model_dump()))
         if picture is not None:
             new[revision_path(Path(), point, number, "png")] = picture
         if effects:
@@ -361,7 +347,7 @@ def write_revision(
             new[point_path(Path(), point)] = after
         # what a revision left whose table was put back by hand is not part of this one
         stale = {revision_path(Path(), point, number, "png"), revision_path(Path(), point, history.revision, "toml")}
-        replace_files(
+        files.replace_files(
             vehicle.directory, {p.as_posix(): c for p, c in new.items()}, [p.as_posix() for p in stale - new.keys()]
         )
     return revision
@@ -371,8 +357,8 @@ def _of_files(vehicle: Vehicle, history: TableHistory, text: str) -> dict[str, s
     """Path and hashes of a table that is replaced by another text."""
     return {
         "table": history.path.relative_to(vehicle.directory).as_posix(),
-        "parent_hash": text_digest(history.raw),
-        "table_hash": text_digest(text),
+        "parent_hash": files.text_digest(history.raw),
+        "table_hash": files.text_digest(text),
     }
 
 
@@ -386,8 +372,8 @@ def _check_unchanged(
     """Check that tables, revisions and control point are still those that an update was worked out from."""
     now = read_history(vehicle, point)
     file = point_path(vehicle.directory, point)
-    same = (now.raw, now.revisions, raw_text(file)) == (history.raw, history.revisions, point_text)
-    turned = turbulent is not None and raw_text(turbulent[0].path) != turbulent[0].raw
+    same = (now.raw, now.revisions, files.raw_text(file)) == (history.raw, history.revisions, point_text)
+    turned = turbulent is not None and files.raw_text(turbulent[0].path) != turbulent[0].raw
     if not same or turned:
         changed = history.path if now.raw != history.raw else file
         if turbulent is not None and turned:
@@ -415,8 +401,8 @@ def revert(directory: Path, point: str) -> tuple[int, int]:
     with revising(directory):
         declared = _declared_points(directory, point)
         path = directory / _own_table(declared, point)
-        raw = raw_text(path)
-        number = _revision_number(path, read_csv_columns(path, ("ratio",), content=raw).header)
+        raw = files.raw_text(path)
+        number = _revision_number(path, files.read_csv_columns(path, ("ratio",), content=raw).header)
         file = revision_path(directory, point, number, "json")
         _refuse_half_restored(directory, point, number)
         if not file.is_file():
@@ -434,14 +420,14 @@ def revert(directory: Path, point: str) -> tuple[int, int]:
                     f"{number} revised; name {undone.turbulent.table} again"
                 )
             path = directory / turbulent
-            raw = raw_text(path)
+            raw = files.raw_text(path)
             removed.append(revision_path(Path(), point, undone.parent, TURBULENT))
             restored[turbulent] = _parent_text(path, raw, directory / removed[-1], file, undone.turbulent)
             problems += _table_problems(path, raw)
         if undone.point_hash is not None:
             of_point = point_path(directory, point)
             restored[_below(directory, of_point)] = _point_before(of_point, directory / point_kept, undone)
-        replace_files(directory, restored, [p.as_posix() for p in (kept, point_kept, *removed)])
+        files.replace_files(directory, restored, [p.as_posix() for p in (kept, point_kept, *removed)])
     tell(f"{line}; revision {undone.revision}, which is undone, had it" for line in problems)
     return undone.revision, undone.parent
 
@@ -455,12 +441,12 @@ def _declared_points(directory: Path, point: str) -> dict[str, ControlPointFile]
 
     raises : InputError with the most similar name where there is none of this one
     """
-    files = {p.stem: p for p in sorted(directory.glob("control_points/*.toml"))}
-    if point not in files:
+    paths = {p.stem: p for p in sorted(directory.glob("control_points/*.toml"))}
+    if point not in paths:
         raise InputError(
-            f"vehicle {real_path(directory).name}: there is no control point `{point}`{suggestion(point, files)}"
+            f"vehicle {real_path(directory).name}: there is no control point `{point}`{files.suggestion(point, paths)}"
         )
-    return {name: read_toml(path, ControlPointFile) for name, path in files.items()}
+    return {name: files.read_toml(path, ControlPointFile) for name, path in paths.items()}
 
 
 def _table_problems(path: Path, text: str) -> list[str]:
@@ -477,13 +463,13 @@ def _point_before(file: Path, kept: Path, undone: RevisionFile) -> str:
 
     raises : InputError where a person has changed it since
     """
-    text = raw_text(kept)
-    if text_digest(text) != undone.point_parent_hash:
+    text = files.raw_text(kept)
+    if files.text_digest(text) != undone.point_parent_hash:
         raise InputError(
             f"{display_path(kept)}: is not the file that revision {undone.revision} was made from; restore it"
         )
     # A change made by hand since then would be lost.
-    if text_digest(raw_text(file)) not in (undone.point_hash, undone.point_parent_hash):
+    if files.text_digest(files.raw_text(file)) not in (undone.point_hash, undone.point_parent_hash):
         raise InputError(
             f"{display_path(file)}: was changed after revision {undone.revision}, which wrote effects into it; "
             "undo the change first, or it would be lost"

@@ -210,11 +210,8 @@ def prepare_update(
     file = estimate_path(fit)
     complete = read_estimate(file)
     check_estimate(complete, display_path(file))
-    if complete.finding in (PARTLY, UNKNOWN) and not accept_partly:
-        raise InputError(
-            f"{display_path(file)}: its closed loop ends with `{complete.finding}`: what its model has is not stated "
-            "as the cause of the residual; give --accept-partly to write it nevertheless"
-        )
+    if not accept_partly:
+        _check_cause(complete, display_path(file))
     loaded_vehicle = load_vehicle(vehicle, root=root)
     roots = roots_of(file, root, loaded_vehicle.directory)
     estimate, loaded = _select_point(complete, _records(complete, roots, records, root), point_name)
@@ -226,14 +223,14 @@ def prepare_update(
     _check_not_used(history, used)
     turbulent = read_turbulent_history(loaded_vehicle, history, point.name)
     # Of the tables before any revision, so that the evidence of a flight does not depend on other flights.
-    revisable = turbulent.base if isinstance(turbulent, TableHistory) else None
-    flight = flight_evidence(estimate, loaded, loaded_vehicle, point, history.base, revisable)
+    revisable = turbulent if isinstance(turbulent, TableHistory) else None
+    base = None if revisable is None else revisable.base
+    flight = flight_evidence(estimate, loaded, loaded_vehicle, point, history.base, base)
     header = _header(history, estimate, used, point.name)
-    laminar = _change(history, flight.laminar, header)
-    turned = None
-    if isinstance(turbulent, TableHistory) and flight.turbulent is not None:
-        turned = _change(turbulent, flight.turbulent, header)
-    for change in (laminar, *(() if turned is None else (turned,))):
+    laminar, turned = _change(history, flight.laminar, header), None
+    if revisable is not None and flight.turbulent is not None:
+        turned = _change(revisable, flight.turbulent, header)
+    for change in filter(None, (laminar, turned)):
         _check_film_coefficients(change, display_path(file))
     effects = effects_from_fit(
         estimate,
@@ -262,6 +259,15 @@ def prepare_update(
             f"{display_path(file)}: changes no node of {point.declared.ratio_table}; its bounds are too wide"
         )
     return update
+
+
+def _check_cause(estimate: Estimate, name: str) -> None:
+    """Check that an estimate's closed loop states its cause; `name` is that of its file."""
+    if estimate.finding in (PARTLY, UNKNOWN):
+        raise InputError(
+            f"{name}: its closed loop ends with `{estimate.finding}`: what its model has is not stated "
+            "as the cause of the residual; give --accept-partly to write it nevertheless"
+        )
 
 
 def _change(history: TableHistory, measured: FlownRatio | None, header: dict[str, str]) -> TableChange:

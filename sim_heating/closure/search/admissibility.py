@@ -58,13 +58,19 @@ def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
             line = _off(short, value, p)
         else:
             continue
-        # where rise and fall of a form cancel, its magnitude by itself says nothing of what it does
-        effect = effects().get(candidate.name)
-        is_magnitude = effect is not None and short in effect.neutral
-        change = heating_change(trial, candidate) if line and is_magnitude else None
-        if line and (change is None or not np.max(np.abs(change)) <= POLICY.max_scatter_sigmas * p.sigma):
+        if line and not _cancels(trial, candidate, short, p.sigma):
             lines += line
     return lines
+
+
+def _cancels(trial: TrialFit, candidate: Candidate, name: str, sigma: float) -> bool:
+    """Whether a parameter is a magnitude of a form whose rise and fall cancel: by itself it says nothing of what the
+    form does."""
+    effect = effects().get(candidate.name)
+    if effect is None or name not in effect.neutral:
+        return False
+    change = heating_change(trial, candidate)
+    return change is not None and bool(np.max(np.abs(change)) <= POLICY.max_scatter_sigmas * sigma)
 
 
 def _off(name: str, value: float, p: Parameter) -> list[str]:
@@ -111,14 +117,7 @@ def _has_any_size(trial: TrialFit, name: str) -> bool:
 def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
     """Objection to a magnitude that the record does not tell from none."""
     names = [u.parameter.name for u in trial.problem.unknowns]
-    declared = {used.effect.name for used in trial.record_fit.record.declared.heating.effects}
-    effect = (
-        None if candidate.name in declared else effects().get(candidate.name)
-    )  # a declared one differs from its declaration
-    neutral = {f"{EFFECT_PREFIX}{candidate.name}.{n}": v for n, v in (effect.neutral if effect else {}).items()}
-    none = {
-        n: neutral.get(n, p.value) for n, p in _definitions(trial, candidate).items() if not neutral or n in neutral
-    }
+    none = _none(trial, candidate)
     if not none:
         return []
     index = [names.index(n) for n in none]
@@ -133,6 +132,17 @@ def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
     if candidate is trial.candidate:
         distance = max(distance, _gain_sigmas(trial))
     return [] if distance >= POLICY.min_sigmas else [f"its magnitude is {distance:.1f} standard deviations from none"]
+
+
+def _none(trial: TrialFit, candidate: Candidate) -> dict[str, float]:
+    """Values of an effect with which it does nothing, by dotted name; a declared one differs from its declaration."""
+    nominal = {n: p.value for n, p in _definitions(trial, candidate).items()}
+    declared = {used.effect.name for used in trial.record_fit.record.declared.heating.effects}
+    effect = None if candidate.name in declared else effects().get(candidate.name)
+    if effect is None or not effect.neutral:
+        return nominal
+    neutral = {f"{EFFECT_PREFIX}{candidate.name}.{n}": v for n, v in effect.neutral.items()}
+    return {n: neutral[n] for n in nominal if n in neutral}
 
 
 def _gain_sigmas(trial: TrialFit) -> float:

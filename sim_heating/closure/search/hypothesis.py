@@ -21,11 +21,11 @@ import numpy as np
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
 from sim_heating.closure.search.admissibility import OFF, far_from_declared, objections
 from sim_heating.closure.search.heating_change import log_odds_of_jumps
-from sim_heating.closure.search.joint_model import JointModel
+from sim_heating.closure.search.joint_model import Cause, JointModel
 from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
 from sim_heating.closure.search.simulated_records import with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
-from sim_heating.closure.search.trials.candidates import NO_EFFECT
+from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count, table_log_prior
 from sim_heating.closure.verdict.adequacy import Adequacy, assess, pooled
@@ -281,24 +281,26 @@ def joint_hypothesis(
             default the declared models
     """
     alone, cause, trials = alone or [(base, 0.0) for base in none.each], model.cause, model.split(fit)
-    each, declared = [trial for trial, _ in alone], [none.each[i] for i in model.members]
-    gained = sum(t.fit.log_likelihood - b.fit.log_likelihood for t, b in zip(trials, declared, strict=True))
-    against: list[tuple[str, ...]] = []
-    judged = cause.candidates
-    if cause.kind == "wall":  # far from its declared scatter a wall is fined, as in the search of one record
-        judged = tuple(replace(c, with_prior=()) for c in judged)
-    for i, trial in zip(model.members, trials, strict=True):
-        # of several effects together it is not known what the last one gained
-        gain = gained if len(cause.names) == 1 else 0.0
+    each, scores = [trial for trial, _ in alone], [float(score) for _, score in alone]
+    members = list(zip(model.members, trials, strict=True))
+    gained = sum(t.fit.log_likelihood - none.each[i].fit.log_likelihood for i, t in members)
+    # of several effects together it is not known what the last one gained
+    gain = gained if len(cause.names) == 1 else 0.0
+    against, judged = list[tuple[str, ...]](), _judged_candidates(cause)
+    for i, trial in members:
         delta = len(trial.candidate.names) * float(np.log(sample_count(trial.problem))) - 2.0 * gain
-        each[i] = replace(trial, name=cause.names[-1], delta_bic=delta)
+        each[i], scores[i] = replace(trial, name=cause.names[-1], delta_bic=delta), 0.0
         against.append(objections(replace(each[i], candidate=judged[-1]), judged))
     # what may be named in one of the records, with the values common to all, may be named
     fewest = min(against, key=len)
     by_name = {c.name: c for c in cause.candidates}
     joint = tuple(TrialFit(n, by_name.get(n, NO_EFFECT), model.problem, None, fit) for n in cause.names)
-    scores = tuple(0.0 if i in model.members else float(score) for i, (_, score) in enumerate(alone))
-    return Hypothesis(joint, None, fewest, cause.price, model=model, each=tuple(each), alone=scores)
+    return Hypothesis(joint, None, fewest, cause.price, model=model, each=tuple(each), alone=tuple(scores))
+
+
+def _judged_candidates(cause: Cause) -> tuple[Candidate, ...]:
+    """The candidates of a cause; far from its declared scatter a wall is fined, as in the search of one record."""
+    return tuple(replace(c, with_prior=()) for c in cause.candidates) if cause.kind == "wall" else cause.candidates
 
 
 def with_one_more(simpler: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) -> Hypothesis:
@@ -374,10 +376,18 @@ def _not_predicted(none: Hypothesis, h: Hypothesis, best: Hypothesis) -> list[st
     if not gained >= -POLICY.held_out_gain:
         return [NOT_PREDICTED[0]]
     excess = 0.5 * sample_count(trial.held_out) * max(declared.held_out_chi2 - 1.0, 0.0) / scale
-    explained = (none.excess_chi2 - h.excess_chi2) / none.excess_chi2 if none.excess_chi2 > 0.0 else 0.0
-    if min(max(explained, 0.0), 1.0) * excess >= POLICY.promised_gain and gained < POLICY.held_out_gain:
+    if (
+        min(max(_explained(none, h, of_nothing=0.0), 0.0), 1.0) * excess >= POLICY.promised_gain
+        and gained < POLICY.held_out_gain
+    ):
         return [NOT_PREDICTED[1]]
     return []
+
+
+def _explained(none: Hypothesis, h: Hypothesis, *, of_nothing: float) -> float:
+    """Part of the declared model's excess chi-square that a hypothesis explains [-]; of_nothing: where it has none."""
+    excess = none.excess_chi2
+    return (excess - h.excess_chi2) / excess if excess > 0.0 else of_nothing
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -446,31 +456,39 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     rated : by `scored`, best first
     """
     admissible = [h for h in rated if h.admissible]
-    best = admissible[0] if admissible else None
-    if best is None or best.score > -least_gain(none):
-        explains = none.adequate and _small_error(none)
+    if not admissible or admissible[0].score > -least_gain(none):
         margin = min((h.score for h in admissible), default=np.inf)
-        return Conclusion("none" if explains else "unknown", none, (), float(margin))
-    explained = none.excess_chi2 - best.excess_chi2
-    fraction = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
-    inside = [h for h in admissible if h.score <= best.score + POLICY.set_margin and len(h.names) == len(best.names)]
-    inside += [
-        h for h in admissible if h not in inside and h.score <= best.score + POLICY.twin_margin and _is_twin(h, best)
-    ]
-    same = set(best.names)
-    # another form under the same names is no rival
-    outside = [h.score for h in admissible if h not in inside and set(h.names) != same] + [0.0]
-    alternatives = _alternatives(best, inside)
-    rival = float(min(outside) - best.score)
-    barred = min((h.score for h in rated if not h.admissible and np.isfinite(h.score)), default=best.score)
-    beaten = max(float(best.score - barred), 0.0)
-    if best.adequate and _small_error(best):
-        is_set = any(len(slot) > 1 for slot in alternatives)
-        return Conclusion("one of" if is_set else "found", best, alternatives, rival, fraction, beaten)
+        return Conclusion("none" if _explains(none) else "unknown", none, (), float(margin))
+    best = admissible[0]
+    inside = _not_told_apart(best, admissible)
+    alternatives, fraction = _alternatives(best, inside), _explained(none, best, of_nothing=1.0)
+    rival = float(min([h.score for h in admissible if h not in inside] + [0.0]) - best.score)
+    finding = _finding(best, alternatives, fraction)
+    named = () if finding == "unknown" else alternatives
+    return Conclusion(finding, best, named, rival, fraction, _disqualified(best, rated))
+
+
+def _finding(best: Hypothesis, alternatives: Sequence[Sequence[str]], fraction: float) -> str:
+    """What the best hypothesis is: "found", "one of", "partly" or "unknown"; arguments as in `Conclusion`."""
+    if _explains(best):
+        return "one of" if any(len(slot) > 1 for slot in alternatives) else "found"
     # the error of either model takes up the rest: what a cause explains is told by its evidence over the declared model
-    if fraction >= POLICY.min_explained or best.last.size is not None:
-        return Conclusion("partly", best, alternatives, rival, fraction, beaten)
-    return Conclusion("unknown", best, (), rival, fraction, beaten)
+    return "partly" if fraction >= POLICY.min_explained or best.last.size is not None else "unknown"
+
+
+def _disqualified(best: Hypothesis, rated: Sequence[Hypothesis]) -> float:
+    """By how much the score of the best hypothesis that may not be named is below that of the best."""
+    barred = (h.score for h in rated if not h.admissible and np.isfinite(h.score))
+    return max(float(best.score - min(barred, default=best.score)), 0.0)
+
+
+def _not_told_apart(best: Hypothesis, admissible: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses that are no rivals of the best: as near as the record can tell, twins, and other forms of itself."""
+    near = [h for h in admissible if h.score <= best.score + POLICY.set_margin and len(h.names) == len(best.names)]
+    twin_score = best.score + POLICY.twin_margin
+    twins = [h for h in admissible if h not in near and h.score <= twin_score and _is_twin(h, best)]
+    forms = [h for h in admissible if set(h.names) == set(best.names)]
+    return [*near, *twins, *forms]
 
 
 def least_gain(none: Hypothesis) -> float:
@@ -496,23 +514,21 @@ def _things(h: Hypothesis) -> set[tuple[str, str]]:
     """What the parameters of a hypothesis are of, and which: of layers by their names, and of the record."""
     change = [] if h.change is None or h.change.parameter is None else [h.change.parameter.name]
     names = {*change, *(n for t in h.trials for n in t.candidate.model_names)}
-    layers = {n: layer_parameter(n) for n in names}
-    parameters = {(layer[0], layer[1].name) for layer in layers.values() if layer is not None and layer[0] != "coating"}
+    parameters = {(p[0], p[1].name) for n in names if (p := layer_parameter(n)) is not None and p[0] != "coating"}
     return parameters | {("record", n) for n in names if n in RECORD_PARAMETERS}
 
 
-def _small_error(h: Hypothesis) -> bool:
-    """Whether the error of a hypothesis' model is small enough for it to be named."""
-    return h.last.told_size is None or h.last.told_size.mean <= POLICY.max_heating_error
+def _explains(h: Hypothesis) -> bool:
+    """Whether a hypothesis explains the record to its noise, by a model with an error small enough to be named."""
+    return h.adequate and (h.last.told_size is None or h.last.told_size.mean <= POLICY.max_heating_error)
 
 
 def _alternatives(best: Hypothesis, inside: Sequence[Hypothesis]) -> tuple[tuple[str, ...], ...]:
-    """Names for each effect of the best hypothesis: hypotheses that differ from it in that one alone."""
-    slots = [[name] for name in best.names]
+    """Names for each effect of the best hypothesis: of those with as many that differ from it in that one alone."""
+    slots = [{name: None} for name in best.names]
     for h in inside:
-        for k, name in enumerate(best.names):
-            others = [n for n in best.names if n != name]
-            if len(h.names) == len(best.names) and all(n in h.names for n in others):
-                new = [n for n in h.names if n not in best.names]
-                slots[k] += [n for n in new if n not in slots[k]]
+        new = dict.fromkeys(n for n in h.names if n not in best.names)
+        for name, slot in zip(best.names, slots, strict=True):
+            if {*best.names} - {name} <= {*h.names}:
+                slot.update(new)
     return tuple(tuple(slot) for slot in slots)

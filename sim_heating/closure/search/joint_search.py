@@ -237,12 +237,7 @@ def _fitted(causes: Sequence[Cause], bases: Sequence[TrialFit]) -> list[tuple[Jo
         members = [i for i, base in enumerate(bases) if applies(cause, base)]
         if len(members) < 2:
             continue
-        finders = [i for i in members if i in cause.values]
-        common = {i: {n: v for n, v in cause.values[i].items() if n in cause.candidate.names} for i in finders}
-        values = [{j: cause.values[i] if j == i else common[i] for j in members} for i in finders[: EFFORT.rivals]]
-        if len(finders) > 1:  # what is a point's own, as an onset, is nowhere near that of another point
-            values.append({j: cause.values.get(j, common[finders[0]]) for j in members})
-        for start in values:
+        for start in _starts(cause, members):
             # another problem each time: side by side, none may occur twice
             models.append(joint_model(cause, bases, members, cause.widest))
             starts.append(models[-1].start(start))
@@ -252,6 +247,16 @@ def _fitted(causes: Sequence[Cause], bases: Sequence[TrialFit]) -> list[tuple[Jo
         if np.isfinite(fit.log_likelihood) and (key not in best or fit.log_likelihood > best[key][1].log_likelihood):
             best[key] = model, fit
     return list(best.values())
+
+
+def _starts(cause: Cause, members: Sequence[int]) -> list[dict[int, Mapping[str, float]]]:
+    """Values to start a cause from, by member: what one found by itself, its parameters of the cause in the others."""
+    finders = [i for i in members if i in cause.values]
+    common = {i: {n: v for n, v in cause.values[i].items() if n in cause.candidate.names} for i in finders}
+    starts = [dict.fromkeys(members, common[i]) | {i: cause.values[i]} for i in finders[: EFFORT.rivals]]
+    if len(finders) > 1:  # what is a point's own, as an onset, is nowhere near that of another point
+        starts.append({j: cause.values.get(j, common[finders[0]]) for j in members})
+    return starts
 
 
 # Parameters of each record, and records without the cause -------------------------------------------------------------
@@ -271,7 +276,7 @@ def _with_own_parameters(none: Hypothesis, ranked: Sequence[Hypothesis]) -> list
         if k not in narrowed:
             results.append(h)
             continue
-        wide, narrow = (next(r for r in every if r.model is x.model) for x in (h, narrowed[k]))
+        wide, narrow = _first_of(every, h), _first_of(every, narrowed[k])
         assert wide.model is not None
         assert narrow.model is not None
         extra_cost = narrow.model.parameter_cost - wide.model.parameter_cost
@@ -284,22 +289,27 @@ def _with_own_parameters(none: Hypothesis, ranked: Sequence[Hypothesis]) -> list
 
 def _one_by_one(none: Hypothesis, h: Hypothesis, narrowest: Hypothesis) -> Hypothesis:
     """The best of a hypothesis, of it with all parameters as narrow as they can be, and with one after the other."""
-    best = scored(none, [h, narrowest])[0]
-    at = h
+    best, at = scored(none, [h, narrowest])[0], h
+    fitted = narrowest.model and narrowest.model.levels
     while at.model is not None:
-        models = [m for name in at.model.levels if (m := _narrowed(none, at, name)) is not None]
-        models = [m for m in models if narrowest.model is None or m.levels != narrowest.model.levels]  # fitted already
+        narrower = [_narrowed(none, at, name) for name in at.model.levels]
+        models = [m for m in narrower if m is not None and m.levels != fitted]
         if not models:
             break
         price = 2.0 * math.log(len(models) + 1)
         tried = [replace(x, price=x.price + price) for x in _fit_narrower(none, at, models)]
         ranked = scored(none, [best, at, *tried])
         best = ranked[0]
-        following = next(r for r in ranked if any(r.model is t.model for t in tried))
-        if not following.score < next(r for r in ranked if r.model is at.model).score:
+        following = _first_of(ranked, *tried)
+        if not following.score < _first_of(ranked, at).score:
             break
         at = following
     return best
+
+
+def _first_of(ranked: Sequence[Hypothesis], *hypotheses: Hypothesis) -> Hypothesis:
+    """The first of the ranked hypotheses that is one of these, as it is scored among the ranked."""
+    return next(r for r in ranked if any(r.model is h.model for h in hypotheses))
 
 
 def _fit_narrower(none: Hypothesis, wider: Hypothesis, models: Sequence[JointModel]) -> list[Hypothesis]:
@@ -345,26 +355,28 @@ def _without_records(none: Hypothesis, h: Hypothesis, explanations: Sequence[tup
         return h
     best = h
     while best.model is not None and len(best.members) > 1:
-        model, models = best.model, []
-        for i in model.members:
-            rest = [j for j in model.members if j != i]
-            models.append(joint_model(model.cause, none.each, rest, model.levels))
-        values = {i: fitted_values(best.each[i]) for i in model.members}
-        # from what the remaining records found alone too: the one left out may have pulled the common values away
-        again = [joint_model(m.cause, none.each, m.members, m.levels) for m in models]
-        starts = [m.start(values) for m in models] + [m.start(m.cause.values) for m in again]
-        tried = [
-            replace(joint_hypothesis(none, m, f, explanations), price=best.price)
-            for m, f in refit_models([*models, *again], starts)
-        ]
+        model, fitted = best.model, _fits_of_rest(none, best, best.model)
+        tried = [replace(joint_hypothesis(none, m, f, explanations), price=best.price) for m, f in fitted]
         ranked = scored(none, [best, *tried])
-        kept = next(r for r in ranked if r.model is best.model)
-        without = ranked[0]
+        kept, without = _first_of(ranked, best), ranked[0]
         left_out = next((k for k, i in enumerate(model.members) if i not in without.members), None)
         if left_out is None or not without.score < kept.score - _needed_gain(model, left_out):
             return kept
-        best = ranked[0]
+        best = without
     return best
+
+
+def _fits_of_rest(none: Hypothesis, h: Hypothesis, model: JointModel) -> list[tuple[JointModel, Fit]]:
+    """The model of a hypothesis fitted without each of its members in turn, from its values.
+
+    From what the remaining records found alone too: the one left out may have pulled the common values away.
+    """
+    values = {i: fitted_values(h.each[i]) for i in model.members}
+    rests = [[j for j in model.members if j != i] for i in model.members]
+    # another problem each time: side by side, none may occur twice
+    models = [joint_model(model.cause, none.each, rest, model.levels) for rest in (*rests, *rests)]
+    from_both = [values] * len(rests) + [model.cause.values] * len(rests)
+    return refit_models(models, [m.start(v) for m, v in zip(models, from_both, strict=True)])
 
 
 def _needed_gain(model: JointModel, member: int) -> float:

@@ -7,25 +7,18 @@ parameters are free, from where the leading one is and from the most promising s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from sim_heating.base.errors import InputError
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.ranking import delta_bic, needed_log_likelihood
-from sim_heating.closure.search.trials.candidates import Candidate
-from sim_heating.closure.search.trials.trial_fit import (
-    CONVERGE,
-    TrialFit,
-    corrected,
-    fitted_values,
-    held_out_problem_with,
-    own_thinning_error,
-    problem_with,
-    start_values,
-)
+from sim_heating.closure.search.trials import trial_fit
+from sim_heating.closure.search.trials.candidates import Candidate, Form
+from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.closure.verdict.adequacy import assess
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.newton import NewtonSettings, Status
@@ -42,25 +35,13 @@ def refine(
     tried     : all candidates of the round;  predicted : gain in log likelihood of each, predicted at its start
     """
     led = _leading(base, trials)
-    forms = [(t, c, start) for t in led for c, start in _forms(base, t, tried, predicted)]
     nameable = {t.name for t in led if not objections(t)}
-    settings = [
-        _unless_behind(base, t, c) if t.name in nameable and c is not t.candidate else CONVERGE for t, c, _ in forms
-    ]
-    fitted = fit_converged([base] * len(forms), [c for _, c, _ in forms], [start for *_, start in forms], settings)
-    contenders = [_contender(t) for t in fitted]
-    # the form that others fell behind may be one that may not be named any more
-    named = {t.name for (t, c, _), k in zip(forms, contenders, strict=True) if c is t.candidate and k and k.admissible}
-    again = [k for k, t in enumerate(fitted) if t.fit.status is Status.BEHIND and t.name not in named]
-    continued = maximise_together([fitted[k].problem for k in again], [fitted[k].fit.values for k in again], CONVERGE)
-    for k, fit in zip(again, continued, strict=True):
-        trial = fitted[k]
-        contenders[k] = _contender(replace(trial, fit=fit, delta_bic=delta_bic(base, fit, trial.candidate, 1.0)))
+    forms = [form for t in led for form in _forms(base, t, tried, predicted)]
     by_name: dict[str, list[TrialFit]] = {}
-    for contender in filter(None, contenders):
+    for contender in _contenders(base, forms, _fitted(base, forms, nameable)):
         by_name.setdefault(contender.name, []).append(contender)
     chosen = [min(rivals, key=lambda t: (not t.admissible, t.delta_bic)) for rivals in by_name.values()]
-    complete = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in chosen]
+    complete = [replace(t, held_out=trial_fit.held_out_problem_with(base, t.candidate)) for t in chosen]
     return sorted(complete, key=lambda t: t.delta_bic)
 
 
@@ -68,14 +49,16 @@ def fit_converged(
     bases: Sequence[TrialFit],
     candidates: Sequence[Candidate],
     starts: Sequence[Mapping[str, float]],
-    settings: Sequence[NewtonSettings] | NewtonSettings = CONVERGE,
+    settings: Sequence[NewtonSettings] | NewtonSettings = trial_fit.CONVERGE,
 ) -> list[TrialFit]:
     """Candidates fitted to convergence, each on top of its own model from values by dotted name, all side by side.
 
     returns : by candidate, its trial, without samples held out
     """
-    problems = [problem_with(*pair) for pair in zip(bases, candidates, strict=True)]
-    fits = maximise_together(problems, [start_values(*p) for p in zip(problems, starts, strict=True)], settings)
+    problems = [trial_fit.problem_with(*pair) for pair in zip(bases, candidates, strict=True)]
+    fits = maximise_together(
+        problems, [trial_fit.start_values(*p) for p in zip(problems, starts, strict=True)], settings
+    )
     return [
         TrialFit(c.name, c, problem, None, fit, delta_bic(base, fit, c, 1.0))
         for base, c, problem, fit in zip(bases, candidates, problems, fits, strict=True)
@@ -91,12 +74,57 @@ def _leading(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:
     return sorted((t for t in trials if gains[t.name] >= least), key=lambda t: t.delta_bic)[: EFFORT.causes]
 
 
-def _unless_behind(base: TrialFit, leading: TrialFit, candidate: Candidate) -> NewtonSettings:
-    """Settings of a fit that ends where the candidate falls far behind another form of its effect, which may be named.
+class _Form(NamedTuple):
+    """A form of an effect to be fitted: the trial of the form that led, its candidate, and the values to start from."""
+
+    leading: TrialFit
+    candidate: Candidate
+    start: Mapping[str, float]
+
+    @property
+    def has_led(self) -> bool:
+        """Whether it is the form that led."""
+        return self.candidate is self.leading.candidate
+
+
+def _fitted(base: TrialFit, forms: Sequence[_Form], nameable: Collection[str]) -> list[TrialFit]:
+    """Forms fitted to convergence, or until they are behind; nameable : effects whose form that led may be named."""
+    settings = [_settings(base, form, nameable) for form in forms]
+    return fit_converged([base] * len(forms), [f.candidate for f in forms], [f.start for f in forms], settings)
+
+
+def _settings(base: TrialFit, form: _Form, nameable: Collection[str]) -> NewtonSettings:
+    """Settings of a fit that ends where a form falls far behind the one of its effect that led, which may be named.
 
     Such a fit takes the most steps of all, and nobody asks for its result.
     """
-    return replace(CONVERGE, needed_log_likelihood=needed_log_likelihood(base, candidate, leading.delta_bic))
+    if form.has_led or form.leading.name not in nameable:
+        return trial_fit.CONVERGE
+    needed = needed_log_likelihood(base, form.candidate, form.leading.delta_bic)
+    return replace(trial_fit.CONVERGE, needed_log_likelihood=needed)
+
+
+def _contenders(base: TrialFit, forms: Sequence[_Form], fitted: Sequence[TrialFit]) -> list[TrialFit]:
+    """Fitted forms that can be marched and did not fall behind, but behind one that may not be named any more."""
+    contenders = [_contender(t) for t in fitted]
+    led = {form.leading.name: contender for form, contender in zip(forms, contenders, strict=True) if form.has_led}
+    again = [k for k, t in enumerate(fitted) if t.fit.status is Status.BEHIND and not _may_be_named(led[t.name])]
+    for k, trial in zip(again, _fitted_on(base, [fitted[k] for k in again]), strict=True):
+        contenders[k] = _contender(trial)
+    return list(filter(None, contenders))
+
+
+def _fitted_on(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:
+    """Trials fitted on to convergence from where they are."""
+    fits = maximise_together([t.problem for t in trials], [t.fit.values for t in trials], trial_fit.CONVERGE)
+    return [
+        replace(t, fit=fit, delta_bic=delta_bic(base, fit, t.candidate, 1.0))
+        for t, fit in zip(trials, fits, strict=True)
+    ]
+
+
+def _may_be_named(contender: TrialFit | None) -> bool:
+    return contender is not None and contender.admissible
 
 
 def _contender(trial: TrialFit) -> TrialFit | None:
@@ -115,32 +143,34 @@ def recorrected(trial: TrialFit, record: Record) -> TrialFit:
     the wall, the error of its own march differs by more than the noise.
     """
     try:
-        error_K, at_s = own_thinning_error(trial, record)
+        error_K, at_s = trial_fit.own_thinning_error(trial, record)
     except InputError:  # a broken sensor that one of the two leaves out
         return trial
-    again = corrected(trial, (error_K, at_s))
-    fit = maximise_together([again.problem], [trial.fit.values], CONVERGE)[0]
+    again = trial_fit.corrected(trial, (error_K, at_s))
+    fit = maximise_together([again.problem], [trial.fit.values], trial_fit.CONVERGE)[0]
     if not (np.any(error_K) and np.isfinite(fit.log_likelihood)):
         return trial
     delta = trial.delta_bic - 2.0 * (fit.log_likelihood - trial.fit.log_likelihood)
     return replace(again, fit=fit, delta_bic=delta)
 
 
-def _forms(
-    base: TrialFit, trial: TrialFit, tried: Sequence[Candidate], predicted: Sequence[float]
-) -> list[tuple[Candidate, dict[str, float]]]:
-    """Forms of an effect to be fitted, each with the values to start from."""
-    below, at = fitted_values(base), fitted_values(trial)
-    forms = [(trial.candidate, at)]
-    of_effect = sorted((k for k, c in enumerate(tried) if c.name == trial.name), key=lambda k: -predicted[k])
-    marched = [k for k in of_effect if np.isfinite(predicted[k])]
-    richest = [
-        tried[k].form for k in marched if not any(tried[k].form.is_special_case_of(tried[j].form) for j in of_effect)
-    ]
-    for form in list(dict.fromkeys(richest))[: EFFORT.rivals]:
-        starts = [tried[k] for k in marched if tried[k].form == form]
-        if trial.candidate.form.is_special_case_of(form):
-            forms.append((starts[0], {**below, **starts[0].start, **at}))
-        if form != trial.candidate.form:
-            forms += [(c, {**below, **c.start}) for c in starts[: EFFORT.starts]]
+def _forms(base: TrialFit, trial: TrialFit, tried: Sequence[Candidate], predicted: Sequence[float]) -> list[_Form]:
+    """Forms of an effect to be fitted."""
+    below, at = trial_fit.fitted_values(base), trial_fit.fitted_values(trial)
+    led, forms = trial.candidate.form, [_Form(trial, trial.candidate, at)]
+    for form, starts in list(_richest(trial.name, tried, predicted).items())[: EFFORT.rivals]:
+        if led.is_special_case_of(form):
+            forms.append(_Form(trial, starts[0], {**below, **starts[0].start, **at}))
+        if form != led:
+            forms += [_Form(trial, c, {**below, **c.start}) for c in starts[: EFFORT.starts]]
     return forms
+
+
+def _richest(name: str, tried: Sequence[Candidate], predicted: Sequence[float]) -> dict[Form, list[Candidate]]:
+    """By form of an effect that is no special case of another one, its candidates that can be marched, best first."""
+    of_effect = sorted((k for k, c in enumerate(tried) if c.name == name), key=lambda k: -predicted[k])
+    every, marched = {tried[k].form for k in of_effect}, dict[Form, list[Candidate]]()
+    for k in of_effect:
+        if np.isfinite(predicted[k]):
+            marched.setdefault(tried[k].form, []).append(tried[k])
+    return {form: starts for form, starts in marched.items() if not any(map(form.is_special_case_of, every))}

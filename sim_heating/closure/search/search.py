@@ -17,7 +17,7 @@ best change of the record, where that explains half of the residual.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -48,20 +48,13 @@ from sim_heating.closure.search.hypothesis import (
 from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, scored_trials
 from sim_heating.closure.search.refine import fit_converged, recorrected, refine
 from sim_heating.closure.search.table_candidates import table_candidates
-from sim_heating.closure.search.trials.candidates import Candidate, candidates
+from sim_heating.closure.search.trials import trial_fit
+from sim_heating.closure.search.trials.candidates import Candidate, Form, candidates
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.free_forms import free_form, has_free_form
 from sim_heating.closure.search.trials.history_starts import history_starts
 from sim_heating.closure.search.trials.screening import fit_in_stages, gains_from, predicted_gains, select_candidates
-from sim_heating.closure.search.trials.trial_fit import (
-    TrialFit,
-    base_trial,
-    declared_fit,
-    fitted_values,
-    held_out_problem_with,
-    is_fitted,
-    sample_count,
-    with_own_error,
-)
+from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
 from sim_heating.inputs.points import conditions_of_record
@@ -118,8 +111,8 @@ def search_effects(
     raises : InputError, RunError where not even the declared model can be fitted
     """
     progress(0.02, "declared model")
-    before = declared_fit(record, names)
-    base = base_trial(before)
+    before = trial_fit.declared_fit(record, names)
+    base = trial_fit.base_trial(before)
     first = search_round(base, [], _stage(progress, 0.1, 0.35, "one effect"))
     search = _Search(record, first, hypothesis([base], {}))
     hypotheses = [search.stack([t]) for t in _refined(first, _stage(progress, 0.35, 0.45, "one effect"))]
@@ -150,7 +143,7 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
     if none.last.record_fit.model_error is None:
         return none, list(rated)
     leading = [*_leading(rated), *[h for h in rated if not h.admissible][: EFFORT.compared]]
-    trials = in_processes([partial(with_own_error, h.last) for h in (none, *leading)])
+    trials = in_processes([partial(trial_fit.with_own_error, h.last) for h in (none, *leading)])
     none, *judged = (fitted_anew(h, trial) for h, trial in zip((none, *leading), trials, strict=True))
     return none, _worth_their_causes(none, scored(none, judged))
 
@@ -204,11 +197,7 @@ def _changes(
         *flight_changes(record, discrepancies), *lamp_changes(record), *wall_changes(record), *shape_changes(record),
         *sensor_changes(base),
     ]  # fmt: skip
-    changes = [
-        c for c in changes
-        if not (c.in_model and c.parameter and is_fitted(base, c.parameter.name))
-        and not (c.free and (c.effect in explained or any(is_fitted(base, name) for name in c.free)))
-    ]  # fmt: skip
+    changes = [c for c in changes if not _is_fitted_already(base, c, explained)]
     best = max((h.last.fit.log_likelihood - base.fit.log_likelihood for h in singles), default=0.0)
     share, near_share = shares_beside_adequate if explained else change_shares
     fits = fit_changes(base, changes, best, share=share, near_share=near_share, most=EFFORT.compared)
@@ -218,6 +207,15 @@ def _changes(
         for t in with_own_corrections(baseline, base, fits)
         if t.change is not None
     ]
+
+
+def _is_fitted_already(base: TrialFit, change: RecordChange, explained: Collection[str]) -> bool:
+    """Whether the parameters of a change are fitted, or are those of an effect that explains the record."""
+    if change.in_model and change.parameter and trial_fit.is_fitted(base, change.parameter.name):
+        return True
+    return bool(change.free) and (
+        change.effect in explained or any(trial_fit.is_fitted(base, name) for name in change.free)
+    )
 
 
 def _explaining(hypotheses: Sequence[Hypothesis]) -> set[str]:
@@ -231,7 +229,7 @@ def _candidates(base: TrialFit, excluded: Sequence[str]) -> list[Candidate]:
     flown = conditions_of_record(record)
     fitted = [n.split(".")[1] for n in base.record_fit.march_names if n.startswith(EFFECT_PREFIX)]
     tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*excluded, *fitted])
-    return [c for c in tried if not any(is_fitted(base, name) for name in c.model_names)]
+    return [c for c in tried if not any(trial_fit.is_fitted(base, name) for name in c.model_names)]
 
 
 def _refined(of_round: SearchRound, progress: Progress) -> list[TrialFit]:
@@ -349,42 +347,46 @@ class _Search:
 
     def free_forms(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Hypotheses with one effect in a free form (free_forms.py), for those that explain most of the excess."""
-        tried: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
-        for h in self.explaining_most(hypotheses)[: EFFORT.causes]:
-            values = fitted_values(h.last)
-            for freed in h.trials:
-                others = [t for t in h.trials if t is not freed]
-                key = (freed.name, *sorted(t.name for t in others))
-                candidate = None if key in tried else free_form(self.first.base, freed, values)
-                if candidate is not None:
-                    stack = [self.first.base, *self.fitted_stack(others, values)]
-                    if np.isfinite(stack[-1].fit.log_likelihood):
-                        tried[key] = stack, candidate, {**values, **candidate.start}
-        entries = tried.values()
+        entries = self._freed(self.explaining_most(hypotheses)[: EFFORT.causes])
         bases, starts = [stack[-1] for stack, _, _ in entries], [start for *_, start in entries]
         fitted = fit_converged(bases, [c for _, c, _ in entries], starts)
         return [
-            self.stack([*stack[1:], replace(t, held_out=held_out_problem_with(stack[-1], t.candidate))])
+            self.stack([*stack[1:], replace(t, held_out=trial_fit.held_out_problem_with(stack[-1], t.candidate))])
             for (stack, _, _), t in zip(entries, fitted, strict=True)
             if np.isfinite(t.fit.log_likelihood)
         ]
+
+    def _freed(
+        self, hypotheses: Sequence[Hypothesis]
+    ) -> Collection[tuple[list[TrialFit], Candidate, dict[str, float]]]:
+        """Of each set of effects, and each of them: the model with the others, the free form of it, and its start."""
+        tried: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
+        for h, freed in [(model, effect) for model in hypotheses for effect in model.trials]:
+            values, others = trial_fit.fitted_values(h.last), [t for t in h.trials if t is not freed]
+            key = (freed.name, *sorted(t.name for t in others))
+            candidate = None if key in tried else free_form(self.first.base, freed, values)
+            if candidate is not None:
+                stack = [self.first.base, *self.fitted_stack(others, values)]
+                if np.isfinite(stack[-1].fit.log_likelihood):
+                    tried[key] = stack, candidate, {**values, **candidate.start}
+        return tried.values()
 
     def fitted_stack(self, effects: Sequence[TrialFit], values: Mapping[str, float]) -> list[TrialFit]:
         """Effects one on top of the other on the declared model, each fitted from the values given."""
         stack = [self.first.base]
         for trial in effects:
             below, candidate = stack[-1], trial.candidate
-            start = {**fitted_values(below), **{n: values[n] for n in candidate.names}}
+            start = {**trial_fit.fitted_values(below), **{n: values[n] for n in candidate.names}}
             (fitted,) = fit_converged([below], [candidate], [start])
             delta = delta_bic(self.first.base, fitted.fit, candidate, 1.0)
-            stack.append(replace(fitted, held_out=held_out_problem_with(below, candidate), delta_bic=delta))
+            stack.append(replace(fitted, held_out=trial_fit.held_out_problem_with(below, candidate), delta_bic=delta))
         return stack[1:]
 
     def pruned(self, rated: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best hypothesis without each of its effects in turn, where it has several."""
         if not rated or len(rated[0].trials) < 2 or rated[0].change is not None:
             return []
-        trials, values = rated[0].trials, fitted_values(rated[0].last)
+        trials, values = rated[0].trials, trial_fit.fitted_values(rated[0].last)
         stacks = [self.fitted_stack([t for t in trials if t is not left_out], values) for left_out in trials]
         return [self.stack(stack) for stack in stacks if np.isfinite(stack[-1].fit.log_likelihood)]
 
@@ -400,7 +402,7 @@ class _Search:
         for _ in range(EFFORT.rivals):
             if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
                 break
-            best, values = rated[0], fitted_values(rated[0].last)
+            best, values = rated[0], trial_fit.fitted_values(rated[0].last)
             stacks = [self.fitted_stack(effects, values) for effects in self._reduced(best)]
             stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
             exchanged += self.with_one_more(stacks, progress)
@@ -442,33 +444,44 @@ def _nameable_first(trials: Sequence[TrialFit]) -> list[TrialFit]:
 
 def _rounds_on_top(stacks: Sequence[Sequence[TrialFit]], progress: Progress) -> list[SearchRound]:
     """By stack of effects, the pass over all candidates on top of it; of all passes together the best are fitted."""
-    # of the most that a further effect promises, on top of any first one: the share that another has to promise to be
-    # fitted, how many are, and how many starts of a form
-    pair_share, most_pairs, starts_of_pair = 0.3, 24, 1
     progress(0.0, "screening candidates")
     bases = [stack[-1] for stack in stacks]
-    screened = [_screened(stack) for stack in stacks]
-    best = max(b.fit.log_likelihood for b in bases)
-    reached = [
-        (bases[i].fit.log_likelihood + gain - best, i, k)
-        for i, (_, gains) in enumerate(screened)
-        for k, gain in enumerate(gains)
-    ]
-    least = pair_share * max((r for r, _, _ in reached), default=0.0)
-    chosen: list[tuple[float, int, int]] = []
-    for total, i, k in sorted(reached, reverse=True):
-        if total < least or len(chosen) == most_pairs:
-            break
-        form = screened[i][0][k].form
-        if sum(j == i and screened[j][0][m].form == form for _, j, m in chosen) < starts_of_pair:
-            chosen.append((total, i, k))
-    progress(0.3, f"fitting {len(chosen)} of {len(reached)} candidates")
+    screened = list(map(_screened, stacks))
+    reached = [b.fit.log_likelihood for b in bases]
+    chosen = _promising(screened, reached)
+    progress(0.3, f"fitting {len(chosen)} of {sum(len(tried) for tried, _ in screened)} candidates")
     tried = [screened[i][0][k] for _, i, k in chosen]
-    fits = fit_in_stages([bases[i] for _, i, _ in chosen], tried, [total for total, _, _ in chosen], best)
+    fits = fit_in_stages([bases[i] for _, i, _ in chosen], tried, [total for total, _, _ in chosen], max(reached))
     return [
         _round_of(base, [t for t, (_, j, _) in zip(fits, chosen, strict=True) if j == i], *screened[i])
         for i, base in enumerate(bases)
     ]
+
+
+def _promising(
+    screened: Sequence[tuple[Sequence[Candidate], Sequence[float]]], log_likelihoods: Sequence[float]
+) -> list[tuple[float, int, int]]:
+    """Candidates on top of stacks that are fitted, one start of a form: what each promises over the best stack, its
+    stack, and its number there.
+
+    screened : by stack, as `_screened` gives it;  log_likelihoods : by stack
+    """
+    # of the most that a further effect promises, on top of any first one: the share that another has to promise to be
+    # fitted, and how many are
+    pair_share, most_pairs = 0.3, 24
+    best = max(log_likelihoods)
+    reached = [
+        (log_likelihoods[i] + gain - best, i, k)
+        for i, (_, gains) in enumerate(screened)
+        for k, gain in enumerate(gains)
+    ]
+    least = pair_share * max((r for r, _, _ in reached), default=0.0)
+    chosen: dict[tuple[int, Form], tuple[float, int, int]] = {}
+    for total, i, k in sorted(reached, reverse=True):
+        if total < least or len(chosen) == most_pairs:
+            break
+        chosen.setdefault((i, screened[i][0][k].form), (total, i, k))
+    return list(chosen.values())
 
 
 def _screened(stack: Sequence[TrialFit]) -> tuple[list[Candidate], list[float]]:
@@ -491,18 +504,33 @@ def _accepted(none: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypoth
         # What fewer effects explain, whether they may be named or not: an inadmissible one still shows how little more
         # a further effect adds.
         simpler = min(kept, key=lambda h: h.excess_chi2, default=none)
-        least_explained = none.excess_chi2 - min((h.excess_chi2 for h in singles), default=none.excess_chi2)
-        to_beat = min((h.score for h in kept), default=0.0) - POLICY.min_gain_of_further
-        of_nameable = min((h.score for h in kept if h.admissible), default=0.0) - POLICY.min_gain_of_further
-        for h in [h for h in hypotheses if len(h.names) == count]:
-            gained = simpler.excess_chi2 - h.excess_chi2
-            predicts = h.last.held_out_log_likelihood >= simpler.last.held_out_log_likelihood
-            explains = gained >= POLICY.min_explained * simpler.excess_chi2
-            explains &= gained >= POLICY.min_explained_over_first * least_explained or h.adequate
-            in_place = h.adequate and h.score <= to_beat
-            if (explains or in_place) and predicts and h.score <= of_nameable:
-                kept.append(h)
+        first_explains = none.excess_chi2 - min(singles, key=lambda h: h.excess_chi2, default=none).excess_chi2
+        to_beat, of_nameable = _score_to_beat(kept), _score_to_beat([h for h in kept if h.admissible])
+        kept += [
+            h for h in hypotheses
+            if len(h.names) == count and h.score <= of_nameable and _explains_more(h, simpler, first_explains, to_beat)
+        ]  # fmt: skip
     return scored(none, _distinct(kept))
+
+
+def _score_to_beat(simpler: Sequence[Hypothesis]) -> float:
+    """The score that a hypothesis with a further effect has to reach over these."""
+    return min((h.score for h in simpler), default=0.0) - POLICY.min_gain_of_further
+
+
+def _explains_more(h: Hypothesis, simpler: Hypothesis, first_explains: float, to_beat: float) -> bool:
+    """Whether a further effect explains a good part of the excess, or replaces parameters, and predicts no worse.
+
+    simpler : has the least excess chi-square with fewer effects;  first_explains : excess chi-square that the best
+    single one explains;  to_beat : score of a hypothesis whose further effect takes the place of parameters
+    """
+    if not h.last.held_out_log_likelihood >= simpler.last.held_out_log_likelihood:
+        return False
+    gained = simpler.excess_chi2 - h.excess_chi2
+    is_much = gained >= POLICY.min_explained_over_first * first_explains
+    if gained >= POLICY.min_explained * simpler.excess_chi2 and (is_much or h.adequate):
+        return True
+    return h.score <= to_beat and h.adequate
 
 
 def _distinct(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -538,7 +566,7 @@ def search_round(base: TrialFit, excluded: Sequence[str], progress: Progress) ->
     by_history = history_starts(base, tried)
     gains += gains_from(base, by_history)
     tried += by_history
-    selected = sorted(select_candidates(tried, gains, sample_count(base.problem)))
+    selected = sorted(select_candidates(tried, gains, trial_fit.sample_count(base.problem)))
     progress(0.3, f"fitting {len(selected)} of {len(tried)} candidates")
     chosen = [tried[i] for i in selected]
     fitted = fit_in_stages(
@@ -559,11 +587,11 @@ def _round_of(
         delta = delta_bic(base, t.fit, t.candidate, 1.0)
         if np.isfinite(t.fit.log_likelihood) and (t.name not in best or delta < best[t.name].delta_bic):
             best[t.name] = replace(t, delta_bic=delta)
-    trials = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in best.values()]
+    trials = [replace(t, held_out=trial_fit.held_out_problem_with(base, t.candidate)) for t in best.values()]
     screened_out: dict[str, float] = {}
     for candidate, gain in zip(tried, gains, strict=True):
         if candidate.name not in best:
-            predicted = -2.0 * gain + len(candidate.names) * float(np.log(sample_count(base.problem)))
+            predicted = -2.0 * gain + len(candidate.names) * float(np.log(trial_fit.sample_count(base.problem)))
             screened_out[candidate.name] = min(predicted, screened_out.get(candidate.name, np.inf))
     forms = count_forms(tried)
     return SearchRound(base, scored_trials(base, trials, forms), screened_out, tuple(tried), tuple(gains), forms)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -105,18 +106,25 @@ def tell_apart(none: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis],
         marched = [p for p in of_models if p is not None]
         if len(marched) < len(models):
             continue
-        log_odds = min(
-            _expected(truth, fitted, model, scale)
-            for other, rival in zip(marched[1:], models[1:], strict=True)
-            for truth, fitted, model in ((marched[0], other, rival), (other, marched[0], models[0]))
-        )
-        experiment = Experiment(flight.what, log_odds)
-        if flight.kind not in kinds or experiment.log_odds > kinds[flight.kind].log_odds:
-            kinds[flight.kind] = experiment
+        experiment = Experiment(flight.what, _least_odds(models, marched, scale))
+        best_of_kind = kinds.get(flight.kind, experiment)
+        kinds[flight.kind] = max(best_of_kind, experiment, key=lambda e: e.log_odds)
     again = kinds.pop(REPEATED, Experiment(REPEATED, 0.0))
     # What hardly does more than the same flight again is not worth its cost.
     better = [e for e in kinds.values() if e.log_odds > again.log_odds + math.log(2.0)]
     return [*sorted(better, key=lambda e: -e.log_odds), again][:most]
+
+
+def _least_odds(models: Sequence[Hypothesis], predicted: Sequence[_Predicted], scale: float) -> float:
+    """Log odds that a flight is expected to give between the first model and the rival that is closest to it [-].
+
+    predicted : by model;  scale : of the residuals, a reduced chi-square
+    """
+    return min(
+        _expected(truth, fitted, model, scale)
+        for other, rival in zip(predicted[1:], models[1:], strict=True)
+        for truth, fitted, model in ((predicted[0], other, rival), (other, predicted[0], models[0]))
+    )
 
 
 def _changes_readings(hypothesis: Hypothesis, record: Record) -> bool:
@@ -208,16 +216,14 @@ def _within_table(record: Record, variable: str, values: FloatArray) -> FloatArr
 def _predict(base: TrialFit, models: Sequence[Hypothesis], flights: Sequence[_Flight]) -> list[list[_Predicted | None]]:
     """By flight and model, its predictions; None where it cannot be marched there."""
     needed = [[_marches(base, h, f.record) for h in models] for f in flights]
-    flat = [pair for row in needed for marches in row for pair in marches]
+    flat = list(chain.from_iterable(chain.from_iterable(needed)))
     done = JointMarch([p for p, _ in flat]).march([v for _, v in flat])
     marched = {id(p) for (p, _), succeeded in zip(flat, done, strict=True) if succeeded}
-    return [
-        [
-            _predicted(h, marches) if marches and all(id(p) in marched for p, _ in marches) else None
-            for h, marches in zip(models, row, strict=True)
-        ]
-        for row in needed
-    ]
+
+    def predicted(h: Hypothesis, marches: Sequence[tuple[FitProblem, FloatArray]]) -> _Predicted | None:
+        return _predicted(h, marches) if marches and all(id(p) in marched for p, _ in marches) else None
+
+    return [[predicted(h, marches) for h, marches in zip(models, row, strict=True)] for row in needed]
 
 
 def _marches(base: TrialFit, model: Hypothesis, record: Record) -> list[tuple[FitProblem, FloatArray]]:

@@ -181,18 +181,21 @@ def pooled(by_record: Mapping[str, Adequacy], counts: Sequence[int]) -> Adequacy
     """
     adequacies = list(by_record.values())
 
-    def mean(values: Sequence[float]) -> float:
-        return float(np.average(values, weights=np.array(counts, dtype=float)))
+    def mean(quantity: str) -> float:
+        return float(np.average([getattr(a, quantity) for a in adequacies], weights=np.array(counts, dtype=float)))
+
+    def by_record_and(what: str) -> dict[str, float]:
+        return {f"{n}, {k}": v for n, a in by_record.items() for k, v in getattr(a, what).items()}
 
     held_out = [a.chi2_holdout for a in adequacies if a.chi2_holdout is not None]
     return Adequacy(
         p_value=-math.expm1(len(adequacies) * math.log1p(-min(a.p_value for a in adequacies))),
-        chi2_fit=mean([a.chi2_fit for a in adequacies]),
+        chi2_fit=mean("chi2_fit"),
         chi2_holdout=float(np.mean(held_out)) if held_out else None,
-        lag1=mean([a.lag1 for a in adequacies]),
-        sign_changes=mean([a.sign_changes for a in adequacies]),
-        by_sensor={f"{n}, {k}": v for n, a in by_record.items() for k, v in a.by_sensor.items()},
-        by_phase={f"{n}, {k}": v for n, a in by_record.items() for k, v in a.by_phase.items()},
+        lag1=mean("lag1"),
+        sign_changes=mean("sign_changes"),
+        by_sensor=by_record_and("by_sensor"),
+        by_phase=by_record_and("by_phase"),
         statistic=max(a.statistic for a in adequacies),
         noise_scale=max(a.noise_scale for a in adequacies),
     )

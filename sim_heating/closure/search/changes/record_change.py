@@ -16,27 +16,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
 
 import numpy as np
 
 from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
+from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import NO_EFFECT
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.screening import Stage, fit_staged, gain_of_step, gains_ahead, gains_over
-from sim_heating.closure.search.trials.trial_fit import (
-    QUICK,
-    WIDENED,
-    TrialFit,
-    candidate_problem,
-    corrected,
-    fitted_values,
-    held_out_problem_with,
-    own_thinning_error,
-    sample_count,
-    start_values,
-)
+from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.error_likelihood import scored_readings
@@ -67,14 +58,14 @@ class _ChangedModel:
         if change.parameter is not None:
             if not 0.0 < change.parameter.sigma < np.inf:
                 raise InputError(f"{change.what}: its parameter needs a finite sigma above 0")
-            self.parameters.append(replace(change.parameter, sigma=WIDENED * change.parameter.sigma))
+            self.parameters.append(replace(change.parameter, sigma=trial_fit.WIDENED * change.parameter.sigma))
             self.step = 0.1 * change.parameter.sigma  # h of the sensitivity
         self._problems: dict[float, FitProblem] = {}
         self._moved = base.problem
 
     def start(self, value: float, *, declared: bool = False) -> FloatArray:
         """Vector of the base's estimates, or of its declared values, and a value of the change."""
-        first = np.array([p.value for p in self.base.problem.parameters]) if declared else self.base.fit.values
+        first = trial_fit.declared_values(self.base.problem) if declared else self.base.fit.values
         return first if self.change.parameter is None else np.append(first, value)
 
     def problem(self, value: float) -> FitProblem:
@@ -84,7 +75,7 @@ class _ChangedModel:
         if value not in self._problems:
             record_fit = self.base.record_fit
             record = self.change.apply(record_fit.record, value)
-            problem = candidate_problem(self.base, record_fit, NO_EFFECT, None, record)
+            problem = trial_fit.candidate_problem(self.base, record_fit, NO_EFFECT, None, record)
             problem.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[0]
             self._problems[value] = problem
         return self._problems[value]
@@ -103,7 +94,7 @@ class _ChangedModel:
         record_fit = problem.record_fits[0]
         changed = self.change.apply(self.base.record_fit.record, self._stepped(value))
         # its temperatures alone are needed: the march has no sensitivities
-        self._moved = candidate_problem(self.base, record_fit, NO_EFFECT, record_fit.sensor_names, changed)
+        self._moved = trial_fit.candidate_problem(self.base, record_fit, NO_EFFECT, record_fit.sensor_names, changed)
         moved = self._moved.record_fits[0]
         # of the changed wall, at the same parameters
         moved.model = moved.model.with_parameters(
@@ -147,7 +138,7 @@ class _ChangedModel:
     def trial(self, fit: Fit) -> TrialFit:
         """The base's model on the record as changed by the value found."""
         values, value = self.split(fit.values)
-        held_out = held_out_problem_with(self.base, NO_EFFECT, changed=lambda r: self.change.apply(r, value))
+        held_out = trial_fit.held_out_problem_with(self.base, NO_EFFECT, changed=lambda r: self.change.apply(r, value))
         if held_out is not None:
             held_out.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[1]
         return self._trial(self.problem(value), held_out, fit, np.arange(len(values)))
@@ -168,7 +159,7 @@ class _EstimatedModel(_ChangedModel):
         record_fit = base.record_fit
         # a parameter of the march is the last of these; those of clock and sensors follow
         self._names = (*record_fit.names, self.parameters[-1].name)
-        self._problem = candidate_problem(base, record_fit, NO_EFFECT, self._names)
+        self._problem = trial_fit.candidate_problem(base, record_fit, NO_EFFECT, self._names)
         self._order = np.array([self._names.index(n) for n in self._problem.record_fits[0].names])
         self._place = np.argsort(self._order)
 
@@ -188,7 +179,7 @@ class _EstimatedModel(_ChangedModel):
 
     def trial(self, fit: Fit) -> TrialFit:
         """The base's model with the parameter of the change as one of its own."""
-        held_out = held_out_problem_with(self.base, NO_EFFECT, self._names)
+        held_out = trial_fit.held_out_problem_with(self.base, NO_EFFECT, self._names)
         return self._trial(self._problem, held_out, fit, self._order)
 
 
@@ -200,15 +191,15 @@ def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
 
     freed = changed_trial(base, lambda record: record, (*fitted, *names))
     parameters = freed.problem.parameters
-    values = start_values(freed.problem, fitted_values(base))
+    values = trial_fit.start_values(freed.problem, trial_fit.fitted_values(base))
     return replace(freed, fit=replace(base.fit, names=tuple(p.name for p in parameters), values=values))
 
 
 def changed_trial(base: TrialFit, changed: Callable[[Record], Record], names: Sequence[str] | None = None) -> TrialFit:
     """A trial over another record, or with other unknowns by their dotted names, with the fit that it had."""
     record_fit = base.record_fit
-    problem = candidate_problem(base, record_fit, NO_EFFECT, names, changed(record_fit.record))
-    return replace(base, problem=problem, held_out=held_out_problem_with(base, NO_EFFECT, names, changed))
+    problem = trial_fit.candidate_problem(base, record_fit, NO_EFFECT, names, changed(record_fit.record))
+    return replace(base, problem=problem, held_out=trial_fit.held_out_problem_with(base, NO_EFFECT, names, changed))
 
 
 def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
@@ -227,16 +218,24 @@ def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, mo
 def _evaluate_together(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -> list[Evaluation]:
     """Evaluation of each model at its own vector, all marched side by side; NaN likelihood where a march failed."""
     needed = [_marches(model, vector) for model, vector in zip(models, vectors, strict=True)]
-    # several models may need the same march: that of the record as declared
-    flat = {id(p): (p, v) for pairs in needed for p, v in pairs or () if not p.marches.has(v)}
-    marched = JointMarch([p for p, _ in flat.values()]).march([v for _, v in flat.values()]) if flat else []
-    failed = {key for key, done in zip(flat, marched, strict=True) if not done}
+    failed = _failed_marches([pair for pairs in needed for pair in pairs or ()])
     return [
         _failed(len(model.parameters))
         if pairs is None or any(id(p) in failed for p, _ in pairs)
         else model.evaluate(vector)
         for model, vector, pairs in zip(models, vectors, needed, strict=True)
     ]
+
+
+def _failed_marches(needed: Sequence[tuple[FitProblem, FloatArray]]) -> set[int]:
+    """Ids of the problems whose marches at their vectors fail; those that are not made yet are made side by side."""
+    # several models may need the same march: that of the record as declared
+    distinct = {id(p): (p, v) for p, v in needed if not p.marches.has(v)}
+    if not distinct:
+        return set()
+    problems, vectors = zip(*distinct.values(), strict=True)
+    marched = JointMarch(problems).march(vectors)
+    return {key for key, done in zip(distinct, marched, strict=True) if not done}
 
 
 def _marches(model: _ChangedModel, vector: FloatArray) -> list[tuple[FitProblem, FloatArray]] | None:
@@ -275,7 +274,6 @@ def best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[f
     returns : by change, gain [-], model and vector, of the best of the neutral value and its starts; a gain of minus
               infinity where the changed record cannot be marched
     """
-    gross_excess = 10.0  # excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
     starts = [(k, v) for k, c in enumerate(changes) for v in dict.fromkeys((c.neutral, *c.starts))]
     # one march as declared for all changes with the same free parameters
     freed = {free: _with_free(base, free) for free in {c.free for c in changes}}
@@ -283,18 +281,28 @@ def best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[f
     vectors = [m.start(value) for m, (_, value) in zip(models, starts, strict=True)]
     predicted = _predicted(models, vectors)
     # A swap distorts the estimates: where the declared values are likelier with the change, it starts from these.
-    gross = [
-        i for i, m in enumerate(models) if base.excess_chi2 > gross_excess and m.change.kind == "sensor" and not m.exact
-    ]
-    others = [models[i].start(starts[i][1], declared=True) for i in gross]
-    for i, vector, reached in zip(gross, others, _predicted([models[i] for i in gross], others), strict=True):
+    for i, vector, reached in _from_declared(base, models, [value for _, value in starts]):
         if reached[1] > predicted[i][1]:
             vectors[i], predicted[i] = vector, reached
-    best: dict[int, int] = {}
-    for i, (k, _) in enumerate(starts):
-        if k not in best or predicted[i][0] > predicted[best[k]][0]:
-            best[k] = i
-    return [(predicted[i][0] - base.fit.log_likelihood, models[i], vectors[i]) for _, i in sorted(best.items())]
+    of_changes = groupby(range(len(starts)), key=lambda i: starts[i][0])
+    best = [max(of_change, key=lambda i: predicted[i][0]) for _, of_change in of_changes]
+    return [(predicted[i][0] - base.fit.log_likelihood, models[i], vectors[i]) for i in best]
+
+
+def _from_declared(
+    base: TrialFit, models: Sequence[_ChangedModel], values: Sequence[float]
+) -> list[tuple[int, FloatArray, tuple[float, float]]]:
+    """Numbers of the models of a wrong sensor, their starts at the declared values, and what a step there predicts.
+
+    values : of the change, by model;  returns : none where the model is not far from the record
+    """
+    gross_excess = 10.0  # excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
+    if not base.excess_chi2 > gross_excess:
+        return []
+    numbers = [i for i, m in enumerate(models) if m.change.kind == "sensor" and not m.exact]
+    starts = [models[i].start(values[i], declared=True) for i in numbers]
+    predicted = _predicted([models[i] for i in numbers], starts)
+    return list(zip(numbers, starts, predicted, strict=True))
 
 
 def fit_changes(
@@ -305,7 +313,6 @@ def fit_changes(
     share: float = POLICY.min_promised,
     near_share: float = POLICY.min_promised,
     most: int | None = None,
-    nearly: float = 0.95,
 ) -> list[TrialFit]:
     """Fit a model to its record with each change that promises enough, all side by side.
 
@@ -315,7 +322,6 @@ def fit_changes(
                 that predicts less than its unknowns cost
     near_share: the same for a change with ends, which gains more where they are moved
     most      : how many without ends are fitted, those that predict most; all by default
-    nearly    : part of the best gain from which on the ends of a change are searched further, each time with a fit
     returns   : fits, the lowest BIC first, one of each form; changes that cannot be marched are left out
     raises    : InputError where a change has a parameter without a finite standard deviation
     """
@@ -336,8 +342,9 @@ def fit_changes(
     def maximise(numbers: Sequence[int], vectors: Sequence[FloatArray], settings: NewtonSettings) -> list[Fit]:
         return _maximise([models[k] for k in numbers], vectors, settings)
 
-    few = replace(QUICK, iterations=5)
-    fits = fit_staged(maximise, vectors, few, [Stage(QUICK, promising)], base.fit.log_likelihood)
+    nearly = 0.95  # part of the best gain from which on the ends of a change are searched further, each time with a fit
+    few = replace(trial_fit.QUICK, iterations=5)
+    fits = fit_staged(maximise, vectors, few, [Stage(trial_fit.QUICK, promising)], base.fit.log_likelihood)
     gains = gains_over(fits, base.fit.log_likelihood)
     reached = max([best_gain, *gains])
     with_ends = [k for k, m in enumerate(models) if m.change.near is not None]
@@ -361,7 +368,7 @@ def _worth_fitting(
     predicted   : by change, as `best_starts` gives it
     least_share : part of the best gain that a change has to promise
     """
-    n, largest = sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
+    n, largest = trial_fit.sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
     best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
     for gain, model, start in predicted:
         change, form = model.change, model.change.form or model.change.what
@@ -406,14 +413,14 @@ def _recorrected(baseline: FitResult, base: TrialFit, trial: TrialFit) -> TrialF
     try:
         record = change.apply(baseline.problem.record_fits[0].record, trial.value)
         thin = record_fit.record if not change.in_model else change.apply(record_fit.record, trial.value)
-        correction = own_thinning_error(trial, record, thin, names)
+        correction = trial_fit.own_thinning_error(trial, record, thin, names)
     except CANNOT_BE:
         return trial
     if change.parameter is not None:
-        model = _model(corrected(base, correction), change)
+        model = _model(trial_fit.corrected(base, correction), change)
         return _change_fit(model, _maximise([model], [fit.values])[0]) or trial
-    trial = corrected(trial, correction)
-    again = maximise_together([trial.problem], [trial.fit.values], QUICK)[0]
+    trial = trial_fit.corrected(trial, correction)
+    again = maximise_together([trial.problem], [trial.fit.values], trial_fit.QUICK)[0]
     delta = trial.delta_bic - 2.0 * (again.log_likelihood - trial.fit.log_likelihood)
     return replace(trial, fit=again, whole_fit=again, delta_bic=delta)
 
@@ -477,7 +484,7 @@ def _pattern_search(
 
 
 def _maximise(
-    models: Sequence[_ChangedModel], starts: Sequence[FloatArray], settings: NewtonSettings = QUICK
+    models: Sequence[_ChangedModel], starts: Sequence[FloatArray], settings: NewtonSettings = trial_fit.QUICK
 ) -> list[Fit]:
     """The fit of each model, iterated side by side."""
 
@@ -500,7 +507,7 @@ def _change_fit(model: _ChangedModel, fit: Fit) -> TrialFit | None:
     where a change leaves none of them: it could not be compared."""
     change, base, value = model.change, model.base, model.split(fit.values)[1]
     gained = fit.log_likelihood - base.fit.log_likelihood
-    delta = float(-2.0 * gained + change.unknowns * np.log(sample_count(base.problem)))
+    delta = float(-2.0 * gained + change.unknowns * np.log(trial_fit.sample_count(base.problem)))
     sigma = 0.0 if change.parameter is None else float(fit.sigma[-1])
     try:
         trial = model.trial(fit)

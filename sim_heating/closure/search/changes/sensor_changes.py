@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import chain, combinations, starmap
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import SENSOR, Parameter
 from sim_heating.closure.clues.residual_heating import ResidualHeating, SensorResidual, residual_heating
 from sim_heating.closure.search.trials.change import RecordChange
-from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
+from sim_heating.closure.search.trials.trial_fit import TrialFit, declared_values, sample_count
 from sim_heating.estimation.filter.heating_input import MAX_COARSE_KNOTS, interpolation_weights
 from sim_heating.estimation.inference.likelihood import reading_intervals, scores
 from sim_heating.estimation.inference.observability import STUCK
@@ -60,20 +60,23 @@ def sensor_changes(base: TrialFit) -> list[RecordChange]:
     Units, and readings that are equal for long, are seen in the readings themselves: a sensor with these is not
     examined further.
     """
+    units, constant = unit_changes(base), constant_readings(base)
+    seen = {*chain.from_iterable(units), *(name for _, name in constant)}
+    in_readings = [*chain.from_iterable(units.values()), *(change for change, _ in constant)]
+    return [*in_readings, *_changes_of_misfits(base, seen)]
+
+
+def _changes_of_misfits(base: TrialFit, seen: Collection[str]) -> list[RecordChange]:
+    """Changes of the sensors that the residuals do not rule out; seen : names of those with a fault in the readings."""
     # RMS of the normalised residuals of a sensor from which on it may be swapped, misplaced or broken
     misfit_floors = 2.0
-    channels = base.problem.samples(base.fit.values)
-    units, constant = unit_changes(base), constant_readings(base)
-    seen = {name for names in units for name in names} | {name for _, name in constant}
+    record, channels = base.record_fit.record, base.problem.samples(base.fit.values)
     others = [s for s in channels if s.channel.sensor.name not in seen]
     misfits = [
         s.channel.sensor for s in others if _rms_K(s) > misfit_floors * s.channel.sensor.noise_floor_K(s.sigma_K)
     ]
-    record = base.record_fit.record
     return [
-        *(change for changes in units.values() for change in changes),
-        *(change for change, _ in constant),
-        *(swap(a, b) for a, b in combinations(misfits, 2)),
+        *starmap(swap, combinations(misfits, 2)),
         *(drift(record, s.channel.sensor) for s in others if len(channels) > 1),
         *(depth(record, s) for s in misfits),
         *(broken_sensors(base) if misfits and len(others) == len(channels) > 1 else []),
@@ -222,7 +225,7 @@ def constant_readings(base: TrialFit) -> list[tuple[RecordChange, str]]:
     record, changes = base.record_fit.record, list[tuple[RecordChange, str]]()
     # The fitted model may follow readings that do not change.
     try:
-        declared = base.problem.samples(np.array([p.value for p in base.problem.parameters]))
+        declared = base.problem.samples(declared_values(base.problem))
     except RunError:  # a declared model that cannot be marched tells nothing
         return []
     for s in declared:

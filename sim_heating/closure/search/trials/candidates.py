@@ -95,25 +95,14 @@ def candidates(
 
     flown : its conditions over the samples that are fitted
     excluded : names of the effects in the model
-    last_resort : whether the candidates are those of last resort, and no others
+    last_resort : whether the candidates are all those of last resort, and no others
     """
     if last_resort:
-        chosen = (e for name, e in effects().items() if e.last_resort and name not in excluded)
-        return [c for e in chosen for c in _effect_candidates(e, record, flown)]
+        return [c for e in effects().values() if e.last_resort for c in _effect_candidates(e, record, flown)]
     flown = _with_criteria(record, flown)
-    # The ratio of a point has one lag: a second effect that lags cannot be added.
-    lag_taken = any(effects()[name].lags for name in excluded if name in effects())
-    declared = {used.effect.name for used in record.declared.heating.effects}
     tried = _declared_candidates(record, flown, excluded)
-    for name, effect in effects().items():
-        # a declared transition may have another criterion than that of nature: the library's own takes its place
-        if (
-            name not in ({*excluded, *declared} if name != TRANSITION else excluded)
-            and not effect.last_resort
-            and not (effect.lags and lag_taken)
-            and all(_varies(v, flown) for v in effect.needs)
-            and _is_usable(effect, flown)
-        ):
+    for effect in _addable(record, excluded):
+        if _is_usable(effect, flown):
             tried += _effect_candidates(effect, record, flown)
     for name, forms in ((SENSOR_EFFECT, BIASES), (LAG_EFFECT, LAGS)):
         if name not in excluded:
@@ -121,8 +110,21 @@ def candidates(
     return tried
 
 
+def _addable(record: Record, excluded: Sequence[str]) -> list[Effect]:
+    """Effects that a model can take in addition to those that it has and to those that the record declares."""
+    # The ratio of a point has one lag: a second effect that lags cannot be added.
+    lag_taken = any(effects()[name].lags for name in excluded if name in effects())
+    # a declared transition may have another criterion than that of nature: the library's own takes its place
+    declared = {used.effect.name for used in record.declared.heating.effects} - {TRANSITION}
+    others = [effect for name, effect in effects().items() if name not in {*excluded, *declared}]
+    return [e for e in others if not e.last_resort and not (e.lags and lag_taken)]
+
+
 def _is_usable(effect: Effect, flown: Conditions) -> bool:
-    """Whether a user's effect has a value that a step can use all along the samples; else that is a warning."""
+    """Whether the samples have what an effect needs, and a user's effect has a value all along them that a step can
+    use; else that is a warning."""
+    if not all(_varies(variable, flown) for variable in effect.needs):
+        return False
     if effect.built_in or effect.needs_wall:
         return True
     fault = unusable_value(use(effect.name, {}), flown.time_s, condition_history(flown))
@@ -148,24 +150,25 @@ def _declared_candidates(record: Record, flown: Conditions, excluded: Sequence[s
     """
     tried = []
     for used in record.declared.heating.effects:
-        effect, prefix = used.effect, f"{EFFECT_PREFIX}{used.effect.name}."
+        effect = used.effect
         starts = effect.starts_for(with_criterion(used, flown))
         if effect.name in excluded or not starts:
             continue
-        free = tuple(p.name for p in used.definitions if p.sigma > 0.0)
-        declared = dict(zip((p.name for p in used.definitions), used.values, strict=True))
-        limits = {p.name: (p.lower, p.upper) for p in used.definitions}
-        # a flight begins at Reynolds numbers far below any onset
-        search_onsets = [start.values[ONSET_NAME] for start in starts if ONSET_NAME in start.values]
-        onsets = {_within(onset, limits[ONSET_NAME]) for onset in search_onsets}
-        for changed in ({}, *({ONSET_NAME: onset} for onset in sorted(onsets))):
-            values = declared | changed
-            names = tuple(f"{prefix}{name}" for name in free)
-            start = {f"{prefix}{name}": values[name] for name in free}
-            tried.append(
-                Candidate(effect.name, (replace(used, values=tuple(values.values())),), names, start, names, names)
-            )
+        free = {f"{EFFECT_PREFIX}{effect.name}.{p.name}": p.name for p in used.definitions if p.sigma > 0.0}
+        names = tuple(free)
+        for changed in ({}, *({ONSET_NAME: onset} for onset in _onsets(used, starts))):
+            values = used.by_name | changed
+            uses = (replace(used, values=tuple(values.values())),)
+            start = {name: values[own] for name, own in free.items()}
+            tried.append(Candidate(effect.name, uses, names, start, names, names))
     return tried
+
+
+def _onsets(used: EffectUse, starts: Sequence[SearchStart]) -> list[float]:
+    """Onsets of a declared transition to start from, ascending: a flight begins at Reynolds numbers far below any."""
+    limits = {p.name: (p.lower, p.upper) for p in used.definitions}
+    searched = [start.values[ONSET_NAME] for start in starts if ONSET_NAME in start.values]
+    return sorted({_within(onset, limits[ONSET_NAME]) for onset in searched})
 
 
 def with_criterion(used: EffectUse, flown: Conditions) -> Conditions:

@@ -15,15 +15,9 @@ import numpy as np
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.parallel.processes import in_shares
 from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
+from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import (
-    QUICK,
-    TrialFit,
-    candidate_problem,
-    fitted_values,
-    problem_with,
-    start_values,
-)
+from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.error_likelihood import ScoredReadings, scored_readings
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
@@ -56,14 +50,16 @@ def _predicted_gains(
     sensitivity : (sample, parameter) sensitivities of the base [K over the unit]
     limit       : largest gain of any model [-]
     """
-    record_fit, start = base.record_fit, fitted_values(base)
+    record_fit, start = base.record_fit, trial_fit.fitted_values(base)
     fixed = {n: start[n] for n in record_fit.march_names if not n.startswith(EFFECT_PREFIX)}
     problems = [
-        candidate_problem(base, record_fit, c, tuple(dict.fromkeys((*record_fit.sensor_names, *c.active))), fixed=fixed)
+        trial_fit.candidate_problem(
+            base, record_fit, c, tuple(dict.fromkeys((*record_fit.sensor_names, *c.active))), fixed=fixed
+        )
         for c in candidates
     ]
-    firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, candidates, strict=True)]
-    to_mean = np.array([p.value for p in base.problem.parameters]) - base.fit.values
+    firsts = [trial_fit.start_values(p, {**start, **c.start}) for p, c in zip(problems, candidates, strict=True)]
+    to_mean = trial_fit.declared_values(base.problem) - base.fit.values
     # at their starts many candidates predict the same, which is scored once
     marched, scored = JointMarch(problems).march(firsts), dict[bytes, ScoredReadings]()
     gains = []
@@ -86,8 +82,11 @@ def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
     gained most come first.
     """
     tie = 1e-6  # weight of the gain that a start has made already where several promise the same
-    problems = [problem_with(base, c) for c in candidates]
-    firsts = [start_values(p, {**fitted_values(base), **c.start}) for p, c in zip(problems, candidates, strict=True)]
+    problems = [trial_fit.problem_with(base, c) for c in candidates]
+    firsts = [
+        trial_fit.start_values(p, {**trial_fit.fitted_values(base), **c.start})
+        for p, c in zip(problems, candidates, strict=True)
+    ]
     limit, gains = _largest_gain(base), []
     for problem, first, done in zip(problems, firsts, JointMarch(problems).march(firsts), strict=True):
         if not done:
@@ -241,8 +240,8 @@ def fit_in_stages(
     fractions = (0.9, 0.5, 0.8)
     # a candidate also enters the second stage with a gain, predicted at its start, of this part of the best
     min_predicted = 0.8
-    problems = [problem_with(b, c) for b, c in zip(bases, candidates, strict=True)]
-    starts = [{**fitted_values(b), **c.start} for b, c in zip(bases, candidates, strict=True)]
+    problems = [trial_fit.problem_with(b, c) for b, c in zip(bases, candidates, strict=True)]
+    starts = [{**trial_fit.fitted_values(b), **c.start} for b, c in zip(bases, candidates, strict=True)]
     names = [c.name for c in candidates] if by_effect else []
 
     def promising(history: Sequence[FloatArray], fits: Sequence[Fit]) -> BoolArray:
@@ -270,9 +269,9 @@ def fit_in_stages(
     def maximise(numbers: Sequence[int], vectors: Sequence[FloatArray], settings: NewtonSettings) -> list[Fit]:
         return maximise_together([problems[k] for k in numbers], vectors, settings)
 
-    few, more_steps = replace(QUICK, iterations=4), replace(QUICK, iterations=8)
-    stages = [Stage(more_steps, promising), Stage(more_steps, near), Stage(QUICK, can_be_best)]
-    vectors = [start_values(*p) for p in zip(problems, starts, strict=True)]
+    few, more_steps = replace(trial_fit.QUICK, iterations=4), replace(trial_fit.QUICK, iterations=8)
+    stages = [Stage(more_steps, promising), Stage(more_steps, near), Stage(trial_fit.QUICK, can_be_best)]
+    vectors = [trial_fit.start_values(*p) for p in zip(problems, starts, strict=True)]
     fits = fit_staged(maximise, vectors, few, stages, reached)
     return [TrialFit(c.name, c, p, None, f) for c, p, f in zip(candidates, problems, fits, strict=True)]
 

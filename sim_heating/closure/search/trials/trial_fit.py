@@ -294,6 +294,11 @@ def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResul
     return replace(fit, not_estimated=fit.not_estimated | excluded)
 
 
+def declared_values(problem: FitProblem) -> FloatArray:
+    """(parameter,) values of the parameters of a problem as they are declared, the means of their priors."""
+    return np.array([p.value for p in problem.parameters])
+
+
 def base_trial(baseline: FitResult, *, is_clock_free: bool = False) -> TrialFit:
     """The declared model with its magnitude and derivatives, and a clock that may be slightly off.
 
