@@ -95,10 +95,11 @@ def candidates(
 
     flown : its conditions over the samples that are fitted
     excluded : names of the effects in the model
-    last_resort : whether the candidates are all those of last resort, and no others
+    last_resort : whether the candidates are those of last resort, and no others
     """
     if last_resort:
-        return [c for e in effects().values() if e.last_resort for c in _effect_candidates(e, record, flown)]
+        chosen = (e for name, e in effects().items() if e.last_resort and name not in excluded)
+        return [c for e in chosen for c in _effect_candidates(e, record, flown)]
     flown = _with_criteria(record, flown)
     tried = _declared_candidates(record, flown, excluded)
     for effect in _addable(record, excluded):
