@@ -126,7 +126,7 @@ def search_effects(
     if search.lacks_more(rated):
         rated = search.further_causes(hypotheses, progress)
     elif base.has_error:
-        rated = search.beside_an_error(rated, _stage(progress, 0.5, 0.9, "one effect more"))
+        rated = search.beside_an_error(rated, progress)
     none, rated = _judged(search.none, rated)
     conclusion, curve = conclude(none, rated), None
     if conclusion.finding in ("partly", "unknown"):
@@ -150,9 +150,14 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
 
 def _leading(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The leading hypotheses that may be named, with the best of each number of causes among them."""
-    admissible = [h for h in rated if h.admissible]
-    first = [next(h for h in admissible if len(h.names) == n) for n in {len(h.names) for h in admissible}]
-    return sorted([*first, *[h for h in admissible if h not in first]][: EFFORT.compared], key=lambda h: h.score)
+    first = list(_best_by_count(rated).values())
+    others = [h for h in rated if h.admissible and h not in first]
+    return sorted([*first, *others][: EFFORT.compared], key=lambda h: h.score)
+
+
+def _best_by_count(rated: Sequence[Hypothesis]) -> dict[int, Hypothesis]:
+    """Number of causes -> the best hypothesis with so many that may be named."""
+    return {len(h.names): h for h in reversed(rated) if h.admissible}
 
 
 def _worth_their_causes(none: Hypothesis, rated: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -162,7 +167,7 @@ def _worth_their_causes(none: Hypothesis, rated: Sequence[Hypothesis]) -> list[H
     may be wrong; over others `Policy.min_gain_of_further`. Where no single cause is better than the declared model,
     there are none: parts of two that cancel follow an error of the heating that is larger than stated.
     """
-    best = {len(h.names): h for h in reversed(rated) if h.admissible}
+    best = _best_by_count(rated)
     is_one_named = 1 in best and best[1].score <= -least_gain(none)
     simplest = next((h for _, h in sorted(best.items()) if h.adequate), None)
 
@@ -295,11 +300,11 @@ class _Search:
         is told by the odds alone.
         """
         models = list(rated)
-        for _ in range(1, POLICY.max_causes):
+        for stage in (_stage(progress, 0.5, 0.7, "two effects"), _stage(progress, 0.7, 0.9, "three effects")):
             best = next((h for h in models if h.admissible), None)
             if best is None or best.change is not None or best.score > -POLICY.min_gain:
                 break
-            models = scored(self.none, [*models, *self.with_one_more([list(best.trials)], progress)])
+            models = scored(self.none, [*models, *self.with_one_more([list(best.trials)], stage)])
             if len(models[0].names) <= len(best.names):
                 break
         return models
@@ -359,7 +364,7 @@ class _Search:
     def _freed(
         self, hypotheses: Sequence[Hypothesis]
     ) -> Collection[tuple[list[TrialFit], Candidate, dict[str, float]]]:
-        """Of each set of effects, and each of them: the model with the others, the free form of it, and its start."""
+        """Models without one of their effects, the free form of that effect, and values to start from, each once."""
         tried: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
         for h, freed in [(model, effect) for model in hypotheses for effect in model.trials]:
             values, others = trial_fit.fitted_values(h.last), [t for t in h.trials if t is not freed]
@@ -438,7 +443,7 @@ class _Search:
 
 
 def _nameable_first(trials: Sequence[TrialFit]) -> list[TrialFit]:
-    """Those of a round that are kept, what may be named first."""
+    """The trials of a round that are kept, those that may be named first."""
     return sorted(trials, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
 
 
