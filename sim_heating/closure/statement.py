@@ -248,7 +248,8 @@ def causes_like_errors(result: SearchResult) -> list[str]:
     lines = []
     for h in result.hypotheses:
         if h.admissible and h.score - h.held_back < -POLICY.min_gain < h.score:
-            price, gain = h.log_odds_of_jumps, h.log_odds_of_jumps + 0.5 * h.held_back
+            price = sum(h.log_odds_of_jumps.values())
+            gain = price + 0.5 * h.held_back
             lines.append(
                 f"{' + '.join(h.names)} gains {gain:.0f} in log evidence, and the same change of the heating costs "
                 f"{price:.0f} as an error of the model that is as large as the rest of it: this record does not "

@@ -16,8 +16,16 @@ from sim_heating.closure.prior.changed_flight import shift_conditions
 from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
 from sim_heating.closure.report.record import closure_json
 from sim_heating.closure.search.heating_change import heating_change
-from sim_heating.closure.search.hypothesis import NOT_PREDICTED, adequacy_of, fitted_anew, hypothesis, scored
+from sim_heating.closure.search.hypothesis import (
+    NOT_PREDICTED,
+    adequacy_of,
+    fitted_anew,
+    hypothesis,
+    scored,
+    with_one_more,
+)
 from sim_heating.closure.search.joint_search import search_jointly, with_common_flights
+from sim_heating.closure.search.refine import fit_converged
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.simulated_records import jumping_errors, slow_errors, with_simulated_p_value
 from sim_heating.closure.search.trials.candidates import candidates
@@ -27,6 +35,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     base_trial,
     declared_fit,
     fitted_values,
+    held_out_problem_with,
     problem_with,
     start_values,
     with_own_error,
@@ -249,31 +258,46 @@ def test_a_jump_as_large_as_the_error_that_is_left_is_no_cause():
     heating = record.declared.heating.model_copy(update={"uncertainty": HeatingUncertainty(relative=0.05)})
     jumped = with_error_of_heating(record, lambda t: np.where(t > 900.0, 0.5, 0.0), np.random.default_rng(3))
     jumped = replace(jumped, declared=record.declared.model_copy(update={"heating": heating}))
-    search = searched_among(jumped, ("transition",))
+    search = searched_among(jumped, ("transition", "conductivity"))
+    transition, conductivity = sorted(search.hypotheses, key=lambda h: h.names, reverse=True)
+    start = {**fitted_values(conductivity.last), **fitted_values(transition.last)}
+    (both,) = fit_converged([conductivity.last], [transition.last.candidate], [start])
+    held_out = held_out_problem_with(conductivity.last, transition.last.candidate)
+    pair = with_one_more(conductivity, replace(both, held_out=held_out), {})
 
     def with_size(h, left):
         alike = (h.last.record_fit.model_error.correlation,)
         size = ErrorSize(np.array([left]), alike, np.ones(1), np.zeros((1, 1, 1)), np.zeros((1, 1, 1)))
-        return replace(h, trials=(replace(h.last, size=size),))
+        return replace(h, trials=(*h.trials[:-1], replace(h.last, size=size)))
 
     def result(left):
-        none, cause = (with_size(h, left) for h in (search.none, search.hypotheses[0]))
-        return replace(search, none=none, hypotheses=tuple(scored(none, [cause])))
+        none, *causes = (with_size(h, left) for h in (search.none, transition, conductivity, pair))
+        return replace(search, none=none, hypotheses=tuple(scored(none, causes)))
+
+    def named(result, names):
+        return next(h for h in result.hypotheses if h.names == names)
 
     surely, perhaps = result(0.003), result(0.3)
-    known, unknown = surely.hypotheses[0], perhaps.hypotheses[0]
-    assert known.names == ("transition",)
+    known, unknown = (named(r, ("transition",)) for r in (surely, perhaps))
     factor = fitted_values(known.last)["effect.transition.factor"]
     knots = known.last.record_fit.model_error.time_s
     price = ((factor - 1.0) / 0.6) ** 2 + np.log(200.0 / (knots[1] - knots[0]))
-    assert unknown.log_odds_of_jumps == pytest.approx(price, rel=0.05)
+    assert unknown.log_odds_of_jumps == {"transition": pytest.approx(price, rel=0.05)}
     assert known.score < -POLICY.min_gain_over_adequate
     assert unknown.score > -POLICY.min_gain
     assert causes_like_errors(surely) == []
-    (line,) = causes_like_errors(perhaps)
-    assert line.startswith("transition gains ")
+    line = next(line for line in causes_like_errors(perhaps) if line.startswith("transition gains "))
     assert line.endswith(f"costs {price:.0f} as an error of the model that is as large as the rest of it: this record "
                          "does not distinguish them")  # fmt: skip
+    # beside another cause a jump costs as much
+    surely_both, perhaps_both = (named(r, ("conductivity", "transition")) for r in (surely, perhaps))
+    assert surely_both.held_back == 0.0
+    assert surely_both.score < named(surely, ("conductivity",)).score - POLICY.min_gain_over_adequate
+    gained = perhaps_both.last.log_evidence - conductivity.last.log_evidence
+    assert 0.5 * perhaps_both.held_back == pytest.approx(
+        gained - perhaps_both.log_odds_of_jumps["transition"], rel=1e-3
+    )
+    assert perhaps_both.score > named(perhaps, ("conductivity",)).score - POLICY.min_gain
 
 
 @pytest.mark.thorough

@@ -65,8 +65,8 @@ class Hypothesis:
     alone      : score of the explanation that each of several records has by itself, where it is no member; else 0
     shares     : score of each record relative to its declared model; with `common` they add up to the score
     common     : what common parameters, priors and forms add to the score
-    held_back  : what its score lacks of its gain, where that is more than the same change of the heating costs as an
-                 error of the model [BIC]
+    held_back  : what its score lacks of its gain, where that is more than the changes of the heating by its effects
+                 cost as errors of the model [BIC]
     """
 
     trials: tuple[TrialFit, ...]
@@ -167,12 +167,13 @@ class Hypothesis:
         return float(np.average([t.excess_chi2 for t in self.each], weights=counts))
 
     @cached_property
-    def log_odds_of_jumps(self) -> float:
-        """What its change of the heating costs in log evidence as an error of the model of its record; infinity where
-        that is no such error, and for several records, which share their errors."""
-        if self.each or self.change is not None or not self.added:
-            return math.inf
-        return sum(log_odds_of_jumps(self.last, t.candidate) for t in self.added)
+    def log_odds_of_jumps(self) -> dict[str, float]:
+        """Name of an effect -> what its change of the heating costs in log evidence as an error of the model.
+
+        Effects that are no such error have none. Of one record: several records share their errors.
+        """
+        prices = {t.name: log_odds_of_jumps(self.last, t.candidate) for t in self.added}
+        return {name: price for name, price in prices.items() if math.isfinite(price)}
 
     @property
     def log_likelihood(self) -> float:
@@ -334,7 +335,8 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     admissible = [h for h in others if h.admissible]
     best = max(admissible, key=lambda h: h.log_likelihood, default=none)
     zero = [model_bic(t, b) for t, b in zip(none.by_record, best.by_record, strict=True)]
-    none_cost = none.penalties + none.price
+    none_cost, scale = none.penalties + none.price, best.by_record[0].scale
+    counted = _counted_evidence([h for h in (none, *others) if not h.each], scale)
 
     def rated(h: Hypothesis) -> Hypothesis:
         bic = [
@@ -342,10 +344,7 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
             model_bic(t, b, h.model.common_names(t.record_fit.record) if h.model else ())
             for i, (t, b) in enumerate(zip(h.by_record, best.by_record, strict=True))
         ]  # fmt: skip
-        held_back = 0.0
-        if not h.each:
-            gained = (h.last.log_evidence - none.last.log_evidence) / best.last.scale
-            held_back = 2.0 * max(gained - h.log_odds_of_jumps, 0.0)
+        held_back = 2.0 * (h.last.log_evidence / scale - counted[h]) if h in counted else 0.0
         bic[0] += held_back
         shares = [b - z if i in h.members else h.alone[i] for i, (b, z) in enumerate(zip(bic, zero, strict=True))]
         penalties, against = h.penalties, dict.fromkeys((*h.objections, *_not_predicted(none, h, best)))
@@ -355,6 +354,22 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
         )  # fmt: skip
 
     return sorted(map(rated, others), key=lambda h: (not h.admissible, h.score))
+
+
+def _counted_evidence(hypotheses: Sequence[Hypothesis], scale: float) -> dict[Hypothesis, float]:
+    """The log evidence of each hypothesis of one record on a scale of residuals, as far as it counts.
+
+    Over the best one without an effect it counts up to what the same change of the heating costs as an error of the
+    model.
+    """
+    counted: dict[Hypothesis, float] = {}
+    for h in sorted(hypotheses, key=lambda h: len(h.names)):
+        limits = [h.last.log_evidence / scale]
+        for name, price in h.log_odds_of_jumps.items():
+            rest = {n for n in h.names if n != name}
+            limits += [max((counted[f] for f in counted if {*f.names} == rest), default=math.inf) + price]
+        counted[h] = min(limits)
+    return counted
 
 
 def _not_predicted(none: Hypothesis, h: Hypothesis, best: Hypothesis) -> list[str]:

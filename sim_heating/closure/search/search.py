@@ -149,10 +149,14 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
 
 
 def _leading(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The leading hypotheses that may be named, with the best of each number of causes among them."""
+    """The leading hypotheses that may be named, with the best of each number of causes among them, and these without
+    each of their causes."""
     first = list(_best_by_count(rated).values())
     others = [h for h in rated if h.admissible and h not in first]
-    return sorted([*first, *others][: EFFORT.compared], key=lambda h: h.score)
+    leading = [*first, *others][: EFFORT.compared]
+    without_one = ({*h.names} - {name} for h in first if len(h.names) > 1 for name in h.names)
+    simpler = (next((h for h in rated if {*h.names} == names), None) for names in without_one)
+    return sorted(dict.fromkeys([*leading, *(h for h in simpler if h is not None)]), key=lambda h: h.score)
 
 
 def _best_by_count(rated: Sequence[Hypothesis]) -> dict[int, Hypothesis]:
@@ -161,24 +165,34 @@ def _best_by_count(rated: Sequence[Hypothesis]) -> dict[int, Hypothesis]:
 
 
 def _worth_their_causes(none: Hypothesis, rated: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Hypotheses without those whose further causes gain too little over one with fewer that may be named.
+    """Hypotheses with the objection to those whose further causes gain too little, which come last.
 
     Over the simplest one that explains the record they gain `Policy.min_gain_over_adequate`, as the form of its cause
-    may be wrong; over others `Policy.min_gain_of_further`. Where no single cause is better than the declared model,
-    there are none: parts of two that cancel follow an error of the heating that is larger than stated.
+    may be wrong; over others with fewer causes `Policy.min_gain_of_further`. Where no single cause is better than the
+    declared model, there are none: parts of two that cancel follow an error of the heating that is larger than stated.
     """
     best = _best_by_count(rated)
     is_one_named = 1 in best and best[1].score <= -least_gain(none)
     simplest = next((h for _, h in sorted(best.items()) if h.adequate), None)
 
-    def to_beat(h: Hypothesis) -> float:
-        return h.score - (POLICY.min_gain_over_adequate if h is simplest else POLICY.min_gain_of_further)
+    def judged(h: Hypothesis) -> Hypothesis:
+        if len(h.names) == 1:
+            return h
+        against = [] if is_one_named else ["none of its causes alone is better than the declared model"]
+        for fewer in (f for n, f in best.items() if n < len(h.names)):
+            least = POLICY.min_gain_over_adequate if fewer is simplest else POLICY.min_gain_of_further
+            if not h.score <= fewer.score - least:
+                against.append(_gains_too_little(h, fewer))
+        return replace(h, objections=(*h.objections, *against))
 
-    return [
-        h for h in rated
-        if len(h.names) == 1
-        or (is_one_named and all(h.score <= to_beat(fewer) for n, fewer in best.items() if n < len(h.names)))
-    ]  # fmt: skip
+    return sorted(map(judged, rated), key=lambda h: (not h.admissible, h.score))
+
+
+def _gains_too_little(h: Hypothesis, fewer: Hypothesis) -> str:
+    """The objection that a hypothesis gains too little over one with fewer causes."""
+    gain = max(0.5 * (fewer.score - h.score), 0.0)
+    error = f", and {0.5 * h.held_back:.0f} more, as an error of the heating could" if h.held_back > 0.0 else ""
+    return f"it gains {gain:.0f} in log evidence over {' + '.join(fewer.names)}{error}: too little for a further cause"
 
 
 def _stage(progress: Progress, begin: float, end: float, label: str) -> Progress:
