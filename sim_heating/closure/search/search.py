@@ -195,9 +195,9 @@ def _gains_too_little(h: Hypothesis, fewer: Hypothesis) -> str:
     return f"it gains {gain:.0f} in log evidence over {' + '.join(fewer.names)}{error}: too little for a further cause"
 
 
-def _stage(progress: Progress, begin: float, end: float, label: str) -> Progress:
-    """Progress of a stage of the search."""
-    return lambda fraction, text: progress(begin + (end - begin) * fraction, f"{label}: {text}")
+def _stage(progress: Progress, begin: float, end: float, label: str = "") -> Progress:
+    """Progress of a stage of the search; label : before what it is doing."""
+    return lambda fraction, text: progress(begin + (end - begin) * fraction, f"{label}: {text}" if label else text)
 
 
 def _changes(
@@ -418,13 +418,13 @@ class _Search:
         """
         exchanged: list[Hypothesis] = []
         rated = _accepted(self.none, hypotheses)
-        for _ in range(EFFORT.rivals):
+        for k in range(EFFORT.rivals):
             if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
                 break
             best, values = rated[0], trial_fit.fitted_values(rated[0].last)
             stacks = [self.fitted_stack(effects, values) for effects in self._reduced(best)]
             stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
-            exchanged += self.with_one_more(stacks, progress)
+            exchanged += self.with_one_more(stacks, _stage(progress, k / EFFORT.rivals, (k + 1) / EFFORT.rivals))
             rated = _accepted(self.none, [*hypotheses, *exchanged])
             if set(rated[0].names) == set(best.names):
                 break
