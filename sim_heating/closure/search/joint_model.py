@@ -39,7 +39,7 @@ from sim_heating.closure.search.trials.trial_fit import (
 from sim_heating.estimation.inference.model_error import FLIGHT_PREFIX
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitProblem
-from sim_heating.estimation.record_fit import RecordFit, sensor_definition
+from sim_heating.estimation.record_fit import RecordFit, parameter_definition
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.record import Record
@@ -177,7 +177,7 @@ class JointModel:
                 total += math.log(sum(counts[i] for i in u.records))
             if name in self.cause.candidate.with_prior:
                 fit = self.problem.record_fits[u.records[0]]
-                p = sensor_definition(fit.record, name) or fit.model.definition(name)
+                p = parameter_definition(fit.record, fit.model, name)
                 total += scatter_price(abs(float(values[k]) - p.value) / p.sigma)
         return total
 

@@ -22,16 +22,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import (
-    TrialFit,
-    fitted_values,
-    is_of_table,
-    sample_count,
-    table_log_prior,
-)
+from sim_heating.closure.search.trials.trial_fit import TrialFit, is_of_table, sample_count, table_log_prior
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.newton import Fit
-from sim_heating.estimation.record_fit import sensor_definition
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -127,11 +120,7 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
 
 def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
     """What the estimates of an effect of a trial's model cost by their distances from their priors [BIC]."""
-    record_fit, values = trial.record_fit, fitted_values(trial)
-    priors = {
-        n: sensor_definition(record_fit.record, n) or record_fit.model.definition(n) for n in candidate.with_prior
-    }
-    return sum(scatter_price(abs(values[n] - p.value) / p.sigma) for n, p in priors.items())
+    return sum(map(scatter_price, trial.deviations_of(candidate.with_prior)))
 
 
 def scatter_price(deviation: float) -> float:

@@ -35,7 +35,7 @@ from sim_heating.estimation.inference.error_likelihood import scored_readings
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import FittedChannel
-from sim_heating.estimation.side_by_side import JointMarch, iterate_together, maximise_together
+from sim_heating.estimation.side_by_side import JointMarch, iterate_together
 from sim_heating.inputs.record import Record
 
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
@@ -424,10 +424,8 @@ def _recorrected(baseline: FitResult, base: TrialFit, trial: TrialFit) -> TrialF
     if change.parameter is not None:
         model = _model(trial_fit.corrected(base, correction), change)
         return _change_fit(model, _maximise([model], [fit.values])[0]) or trial
-    trial = trial_fit.corrected(trial, correction)
-    again = maximise_together([trial.problem], [trial.fit.values], trial_fit.QUICK)[0]
-    delta = trial.delta_bic - 2.0 * (again.log_likelihood - trial.fit.log_likelihood)
-    return replace(trial, fit=again, whole_fit=again, delta_bic=delta)
+    again = trial_fit.fitted_on(trial_fit.corrected(trial, correction), trial_fit.QUICK)
+    return replace(again, whole_fit=again.fit)
 
 
 def _move_ends(models: list[_ChangedModel], fits: list[Fit], chosen: Sequence[int], searches: int = 1) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.parallel.processes import in_shares
 from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
+from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import TrialFit
@@ -273,7 +274,10 @@ def fit_in_stages(
     stages = [Stage(more_steps, promising), Stage(more_steps, near), Stage(trial_fit.QUICK, can_be_best)]
     vectors = [trial_fit.start_values(*p) for p in zip(problems, starts, strict=True)]
     fits = fit_staged(maximise, vectors, few, stages, reached)
-    return [TrialFit(c.name, c, p, None, f) for c, p, f in zip(candidates, problems, fits, strict=True)]
+    return [
+        TrialFit(c.name, c, p, None, f, delta_bic(b, f, c, 1.0))
+        for b, c, p, f in zip(bases, candidates, problems, fits, strict=True)
+    ]
 
 
 def _best(history: Sequence[FloatArray]) -> float:
