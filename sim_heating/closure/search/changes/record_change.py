@@ -192,17 +192,10 @@ def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
     if all(name in fitted for name in names):
         return base
 
-    freed = changed_trial(base, lambda record: record, (*fitted, *names))
+    freed = trial_fit.unfitted(base, names=(*fitted, *names))
     parameters = freed.problem.parameters
     values = trial_fit.start_values(freed.problem, trial_fit.fitted_values(base))
     return replace(freed, fit=replace(base.fit, names=tuple(p.name for p in parameters), values=values))
-
-
-def changed_trial(base: TrialFit, changed: Callable[[Record], Record], names: Sequence[str] | None = None) -> TrialFit:
-    """A trial over another record, or with other unknowns by their dotted names, with the fit that it had."""
-    record_fit = base.record_fit
-    problem = trial_fit.candidate_problem(base, record_fit, NO_EFFECT, names, changed(record_fit.record))
-    return replace(base, problem=problem, held_out=trial_fit.held_out_problem_with(base, NO_EFFECT, names, changed))
 
 
 def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:

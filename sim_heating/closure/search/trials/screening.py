@@ -89,13 +89,12 @@ def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
         for p, c in zip(problems, candidates, strict=True)
     ]
     limit, gains = _largest_gain(base), []
-    for problem, first, done in zip(problems, firsts, JointMarch(problems).march(firsts), strict=True):
-        if not done:
+    for problem, first, here in zip(problems, firsts, JointMarch(problems).evaluate(firsts), strict=True):
+        gained = here.log_likelihood - base.fit.log_likelihood
+        if not np.isfinite(gained):
             gains.append(-np.inf)
             continue
-        evaluation = problem.evaluate(first)
-        gained = evaluation.log_likelihood - base.fit.log_likelihood
-        promised = gained + gain_of_step(problem.parameters, first, evaluation)
+        promised = gained + gain_of_step(problem.parameters, first, here)
         gains.append(max(gained, min(promised, limit)) + tie * gained)
     return gains
 

@@ -560,6 +560,19 @@ def with_held_out(base: TrialFit, trial: TrialFit) -> TrialFit:
     return replace(trial, held_out=held_out_problem_with(base, trial.candidate))
 
 
+def unfitted(
+    base: TrialFit,
+    candidate: Candidate = NO_EFFECT,
+    names: Sequence[str] | None = None,
+    changed: Callable[[Record], Record] | None = None,
+) -> TrialFit:
+    """A base with a candidate's parameters, or others by name, or over a changed record; its fit is as before."""
+    record_fit = base.record_fit
+    record = None if changed is None else changed(record_fit.record)
+    problem = candidate_problem(base, record_fit, candidate, names, record)
+    return replace(base, problem=problem, held_out=held_out_problem_with(base, candidate, names, changed))
+
+
 def candidate_problem(
     base: TrialFit,
     record_fit: RecordFit,
