@@ -14,10 +14,9 @@ import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import write_csv
-from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.screening import fit_in_stages, predicted_gains
-from sim_heating.closure.search.trials.trial_fit import TrialFit, with_held_out
+from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic, with_held_out
 from sim_heating.heating.effects.curve import CURVE, FIRST, TIME, VARIABLE, VARIABLES, CurveBand, curve_band
 from sim_heating.inputs.points import conditions_of_record
 

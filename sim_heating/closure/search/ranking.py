@@ -22,9 +22,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import TrialFit, is_of_table, sample_count, table_log_prior
+from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic, is_of_table, sample_count, table_log_prior
 from sim_heating.closure.verdict.policy import POLICY
-from sim_heating.estimation.inference.newton import Fit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -88,26 +87,6 @@ def model_bic(trial: TrialFit, best: TrialFit, common_names: Collection[str] = (
     parameters = sum(u.parameter.name not in {*common_names, *fit.flight_names} for u in counted)
     log_posterior = trial.log_evidence / best.scale + held_out + table_log_prior(trial.fit)
     return -2.0 * log_posterior + parameters * float(np.log(sample_count(trial.problem)))
-
-
-def delta_bic(base: TrialFit, fit: Fit, candidate: Candidate, c: float) -> float:
-    """BIC of a fit minus that of the model it is on top of; c is the scale of the residuals."""
-    gained = (fit.log_likelihood - base.fit.log_likelihood) / c + table_log_prior(fit) - table_log_prior(base.fit)
-    return float(-2.0 * gained + _parameter_cost(base, candidate))
-
-
-def needed_log_likelihood(base: TrialFit, candidate: Candidate, delta: float) -> float:
-    """Log likelihood that a fit of a candidate has at least where its `delta_bic` with c = 1 is as low as a given one.
-
-    The prior density of the table is taken at its largest.
-    """
-    cost = _parameter_cost(base, candidate)
-    return float(base.fit.log_likelihood + table_log_prior(base.fit) + 0.5 * (cost - delta))
-
-
-def _parameter_cost(base: TrialFit, candidate: Candidate) -> float:
-    """k log n of a candidate on top of a model."""
-    return float(len(candidate.names) * np.log(sample_count(base.problem)))
 
 
 def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:

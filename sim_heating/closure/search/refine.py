@@ -15,10 +15,9 @@ import numpy as np
 
 from sim_heating.base.errors import InputError
 from sim_heating.closure.search.admissibility import objections
-from sim_heating.closure.search.ranking import delta_bic, needed_log_likelihood
 from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic, needed_log_likelihood
 from sim_heating.closure.verdict.adequacy import assess
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.newton import NewtonSettings, Status

@@ -45,7 +45,7 @@ from sim_heating.closure.search.hypothesis import (
     scored,
     with_one_more,
 )
-from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, scored_trials
+from sim_heating.closure.search.ranking import SearchRound, count_forms, scored_trials
 from sim_heating.closure.search.refine import fit_converged, recorrected, refine
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials import trial_fit
@@ -54,7 +54,7 @@ from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.free_forms import free_form, has_free_form
 from sim_heating.closure.search.trials.history_starts import history_starts
 from sim_heating.closure.search.trials.screening import fit_in_stages, gains_from, predicted_gains, select_candidates
-from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
 from sim_heating.inputs.points import conditions_of_record

@@ -15,10 +15,9 @@ import numpy as np
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.parallel.processes import in_shares
 from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
-from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.error_likelihood import ScoredReadings, scored_readings
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain

@@ -640,6 +640,26 @@ def table_log_prior(fit: Fit) -> float:
     return -0.5 * float(np.sum(fit.prior_information[of_table] * fit.values[of_table] ** 2))
 
 
+def delta_bic(base: TrialFit, fit: Fit, candidate: Candidate, c: float) -> float:
+    """BIC of a fit minus that of the model it is on top of; c is the scale of the residuals."""
+    gained = (fit.log_likelihood - base.fit.log_likelihood) / c + table_log_prior(fit) - table_log_prior(base.fit)
+    return float(-2.0 * gained + _parameter_cost(base, candidate))
+
+
+def needed_log_likelihood(base: TrialFit, candidate: Candidate, delta: float) -> float:
+    """Log likelihood that a fit of a candidate has at least where its `delta_bic` with c = 1 is as low as a given one.
+
+    The prior density of the table is taken at its largest.
+    """
+    cost = _parameter_cost(base, candidate)
+    return float(base.fit.log_likelihood + table_log_prior(base.fit) + 0.5 * (cost - delta))
+
+
+def _parameter_cost(base: TrialFit, candidate: Candidate) -> float:
+    """k log n of a candidate on top of a model."""
+    return float(len(candidate.names) * np.log(sample_count(base.problem)))
+
+
 def is_fitted(base: TrialFit, name: str) -> bool:
     """Whether a parameter is estimated already, under this or another name.
 
