@@ -14,10 +14,9 @@ import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import write_csv
-from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.screening import fit_in_stages, predicted_gains
-from sim_heating.closure.search.trials.trial_fit import TrialFit, held_out_problem_with
+from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic, with_held_out
 from sim_heating.heating.effects.curve import CURVE, FIRST, TIME, VARIABLE, VARIABLES, CurveBand, curve_band
 from sim_heating.inputs.points import conditions_of_record
 
@@ -44,7 +43,7 @@ def curve_trials(base: TrialFit) -> list[TrialFit]:
         [base] * len(chosen), [c for c, _ in chosen], [gain for _, gain in chosen], base.fit.log_likelihood
     )
     fits = [t for t in fits if np.isfinite(t.fit.log_likelihood)]
-    return _ranked(base, [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in fits])
+    return _ranked(base, [with_held_out(base, t) for t in fits])
 
 
 def _ranked(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:

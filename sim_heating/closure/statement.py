@@ -475,21 +475,15 @@ def joint_closure_of(
         estimated, flights = estimates_of(fitted.problem, fitted.fit, fitted.bounds.sigma), _flights(fitted)
         noted = remarks(fitted)
         warnings = [*(r.in_words for r in noted), *further_warnings(fitted.warnings, noted)]
-    shares = posteriors({" + ".join(h.names): h.score for h in search.hypotheses if h.admissible} | {NONE: 0.0})
-    none = _candidate_score(NONE, 0.0, search.none.by_record, shares)
+    shares, rows = _shares(search.hypotheses), [(NONE, 0.0, search.none)]
+    rows += [(" + ".join(h.names), h.delta_bic(search.none), h) for h in search.hypotheses]
     not_effects = _common_not_effects(best, estimated) if search.explained else []
     return JointClosure(
         closures=closures,
         search=search,
         effects=_findings(search, estimated),
         statement=_statement(search, fitted, not_effects, _experiments(closures, conclusion.alternatives)),
-        candidates=[
-            none,
-            *(
-                _candidate_score(" + ".join(h.names), h.delta_bic(search.none), h.by_record, shares)
-                for h in search.hypotheses
-            ),
-        ],
+        candidates=[_candidate_score(name, delta, h.by_record, shares) for name, delta, h in rows],
         parameters=estimated,
         after=after,
         warnings=warnings,

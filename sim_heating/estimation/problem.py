@@ -40,6 +40,7 @@ from sim_heating.estimation.record_fit import (
     lane_groups,
     least_sigma_K,
     march_times,
+    parameter_definition,
     sensor_definition,
     set_parameters,
     set_pressure_response,
@@ -222,7 +223,7 @@ class FitProblem:
         for name in self.options.fixed or {}:
             stem, record = name.partition(AT)[0], self.owners.covered(name)[0]
             model = next(p.model for p in self.record_fits if p.record is record)
-            units[name] = (sensor_definition(record, stem) or model.definition(stem)).unit
+            units[name] = parameter_definition(record, model, stem).unit
         return {name: (float(value), units[name]) for name, value in (self.options.fixed or {}).items()}
 
     @property

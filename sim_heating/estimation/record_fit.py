@@ -703,6 +703,15 @@ def sensor_parameter(sensor: Sensor, kind: str) -> str:
     return f"{SENSOR_PREFIX}{sensor.name}.{kind}"
 
 
+def parameter_definition(record: Record, model: PointModel, name: str) -> Parameter:
+    """Definition of a parameter of a record's clock or sensors, or of the model of its point, by its dotted name.
+
+    returns : prior, bounds and unit
+    raises  : InputError for a name that neither of them has
+    """
+    return sensor_definition(record, name) or model.definition(name)
+
+
 def sensor_definition(record: Record, name: str) -> Parameter | None:
     """Definition of a parameter of a clock or sensor by its dotted name; None for any other name.
 

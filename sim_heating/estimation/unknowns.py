@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
 from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
-from sim_heating.estimation.record_fit import LONGEST_STEP_S, RecordFit, Start, StartMaker, sensor_definition
+from sim_heating.estimation.record_fit import (
+    LONGEST_STEP_S,
+    RecordFit,
+    Start,
+    StartMaker,
+    parameter_definition,
+    sensor_definition,
+)
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.definition import ModelParameter
 from sim_heating.heating.effects.recombination import RECOMBINATION
@@ -110,7 +117,7 @@ class StatedParameters:
         for problem in without_action((*names, *fixed), record, model).values():
             raise InputError(problem)
         for name, value in fixed.items():
-            p = sensor_definition(record, name) or model.definition(name)
+            p = parameter_definition(record, model, name)
             if not p.lower <= value <= p.upper:
                 raise InputError(f"{name}: fixed at {value:g}, outside its limits {p.lower:g} to {p.upper:g}")
         of_point = {n: v for n, v in fixed.items() if not is_of_record(n)}

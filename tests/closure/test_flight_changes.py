@@ -83,7 +83,7 @@ def test_a_flight_that_was_later_than_its_conditions_state():
 
 @pytest.mark.thorough
 def test_a_velocity_that_drifts_away_and_when():
-    best = found(flight.velocity_drift(500.0, 600.0).apply(CLEAN, 0.95))[0]
+    best = found(flight.VELOCITY_DRIFT.between(500.0, 600.0).apply(CLEAN, 0.95))[0]
     begin, end = (float(word) for word in best.change.what.split() if word.isdigit())
     assert (begin, end) == (pytest.approx(500.0, abs=10.0), pytest.approx(600.0, abs=10.0))
     assert best.value == pytest.approx(1.0 / 0.95, abs=0.003)
@@ -92,7 +92,7 @@ def test_a_velocity_that_drifts_away_and_when():
 
 @pytest.mark.thorough
 def test_a_layer_of_wrong_density_and_where():
-    best = found(flight.density_layer(62e3, 68e3).apply(CLEAN, 0.8))[0]
+    best = found(flight.DENSITY_LAYER.between(62e3, 68e3).apply(CLEAN, 0.8))[0]
     low, high = (float(word) for word in best.change.what.split() if word[0].isdigit())
     assert (low, high) == (pytest.approx(62.0, abs=0.4), pytest.approx(68.0, abs=0.4))
     assert best.value == pytest.approx(1.25, abs=0.02)
@@ -161,7 +161,7 @@ def test_a_ground_test_has_no_flight_to_change():
 
 def test_the_drag_tells_a_layer_of_density_from_an_error_of_the_velocity():
     fits = in_thin_air()[1]
-    layer, excursion = flight.smooth_layer(62e3, 70e3), flight.velocity_excursion(650.0, 850.0)
+    layer, excursion = flight.SMOOTH_LAYER.between(62e3, 70e3), flight.VELOCITY_EXCURSION.between(650.0, 850.0)
     recorded = layer.apply(CLEAN, 0.85)
     evidence = [
         flight.judged_by_motion(recorded, replace(fits[0], change=change, value=value))[0]
@@ -194,7 +194,7 @@ def test_a_change_that_was_not_flown_is_contradicted_by_the_motion():
     def contradicted(record: Record, change: RecordChange, value: float) -> list[str]:
         return flight.judged_by_motion(record, replace(fit, change=change, value=value))[1]
 
-    layer, excursion = flight.density_layer(62e3, 68e3), flight.velocity_excursion(600.0, 800.0)
+    layer, excursion = flight.DENSITY_LAYER.between(62e3, 68e3), flight.VELOCITY_EXCURSION.between(600.0, 800.0)
     (line,) = contradicted(CLEAN, layer, 1.2)
     assert line.startswith("density between 62.0 and 68.0 km: deceleration over dynamic pressure is")
     assert "below the rest of the flight" in line
@@ -202,12 +202,12 @@ def test_a_change_that_was_not_flown_is_contradicted_by_the_motion():
     # what mends the conditions, if not to the last, is not contradicted; nor is what no force shows
     for change, value in ((layer, 0.8), (excursion, 0.95)):
         assert contradicted(change.apply(CLEAN, value), change, 1.0 / value - 0.02) == []
-    for change, value in ((flight.density_scale(), 1.2), (flight.time_shift(), 8.0), (flight.alpha_bias(), 2.0)):
+    for change, value in ((flight.scale("density"), 1.2), (flight.time_shift(), 8.0), (flight.alpha_bias(), 2.0)):
         assert contradicted(CLEAN, change, value) == []
 
 
 def test_an_error_of_the_velocity_that_is_undone_is_found_between_its_two_contradictions():
-    recorded = flight.velocity_excursion(617.0, 791.0).apply(CLEAN, 0.96)
+    recorded = flight.VELOCITY_EXCURSION.between(617.0, 791.0).apply(CLEAN, 0.96)
     spans = flight_discrepancies(recorded.conditions)
     tried = [c.what for c in flight.flight_changes(recorded, spans) if c.form == "excursion of the velocity"]
     assert min(abs(float(w.split()[5]) - 617.0) + abs(float(w.split()[7]) - 791.0) for w in tried) < 30.0

@@ -7,7 +7,7 @@ import pytest
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
-from sim_heating.closure.search.changes.flight_changes import density_layer, velocity_drift
+from sim_heating.closure.search.changes.flight_changes import DENSITY_LAYER, VELOCITY_DRIFT
 from sim_heating.inputs.record import load_record
 from tests.support.paths import PRACTICE, RECORDS
 from tests.support.walls import practice_record
@@ -54,7 +54,7 @@ def test_shears_of_the_atmosphere_along_the_whole_flight_are_no_contradiction():
 
 
 def test_a_layer_of_wrong_density_shows_in_drag_and_in_the_weight_of_the_air():
-    found = by_relation(density_layer(62e3, 67e3).apply(CLEAN, 0.85).conditions)
+    found = by_relation(DENSITY_LAYER.between(62e3, 67e3).apply(CLEAN, 0.85).conditions)
     assert set(found) == {"drag", "hydrostatics"}
     drag = found["drag"]
     assert (drag.lowest_m, drag.highest_m) == (pytest.approx(62e3, abs=500.0), pytest.approx(67e3, abs=500.0))
@@ -75,7 +75,7 @@ def test_a_density_that_is_changed_alone_is_that_of_no_gas():
 
 @pytest.mark.parametrize("measured", [lambda c: c, recorded], ids=["exact", "recorded"])
 def test_a_velocity_that_falls_against_all_drag_is_found_when_it_falls(measured):
-    drag = by_relation(measured(velocity_drift(500.0, 600.0).apply(CLEAN, 0.95).conditions))["drag"]
+    drag = by_relation(measured(VELOCITY_DRIFT.between(500.0, 600.0).apply(CLEAN, 0.95).conditions))["drag"]
     assert (drag.begin_s, drag.end_s) == (pytest.approx(500.0, abs=10.0), pytest.approx(600.0, abs=10.0))
     assert drag.size > 0.5
 

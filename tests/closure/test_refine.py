@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 
 from sim_heating.closure.search import refine as refining
-from sim_heating.closure.search.ranking import SearchRound, delta_bic, needed_log_likelihood
+from sim_heating.closure.search.ranking import SearchRound
 from sim_heating.closure.search.refine import refine
 from sim_heating.closure.search.search import search_round
-from sim_heating.closure.search.trials.trial_fit import CONVERGE, TrialFit, base_trial, declared_fit, sample_count
+from sim_heating.closure.search.trials.trial_fit import (
+    CONVERGE,
+    TrialFit,
+    base_trial,
+    declared_fit,
+    delta_bic,
+    needed_log_likelihood,
+    sample_count,
+)
 from sim_heating.estimation.inference.newton import Fit, Status
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.record import load_record

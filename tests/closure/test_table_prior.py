@@ -18,9 +18,14 @@ from sim_heating.closure.prior.table import (
     table_prior,
     undeclared_derivatives,
 )
-from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.search import search_effects
-from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, fitted_values, table_log_prior
+from sim_heating.closure.search.trials.trial_fit import (
+    base_trial,
+    declared_fit,
+    delta_bic,
+    fitted_values,
+    table_log_prior,
+)
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.problem import joint_reference
 from sim_heating.estimation.report.remarks import remarks

@@ -11,7 +11,7 @@ import pytest
 from sim_heating.closure.search import search
 from sim_heating.closure.search.changes.record_change import fit_changes
 from sim_heating.closure.search.hypothesis import conclude, hypothesis, scored
-from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, scored_trials
+from sim_heating.closure.search.ranking import SearchRound, count_forms, scored_trials
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.change import RecordChange
@@ -21,6 +21,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     TrialFit,
     base_trial,
     declared_fit,
+    delta_bic,
     fitted_values,
     held_out_problem_with,
     problem_with,

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,17 @@ from sim_heating.closure.clues.residual_heating import write_residual_heating
 from sim_heating.closure.curves import NAME as CURVE_NAME
 from sim_heating.closure.curves import curve_words, write_curve
 from sim_heating.closure.report import plots
-from sim_heating.closure.result import NAME, NONE, PAGE, PARTLY, UNKNOWN, Closure, ParameterEstimate, Statement
+from sim_heating.closure.result import (
+    NAME,
+    NONE,
+    PAGE,
+    PARTLY,
+    UNKNOWN,
+    Closure,
+    JointClosure,
+    ParameterEstimate,
+    Statement,
+)
 from sim_heating.closure.verdict.adequacy import p_value_text
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
@@ -37,30 +48,42 @@ from sim_heating.estimation.report.ratio_plot import derivatives_about
 from sim_heating.estimation.report.remarks import further_warnings
 
 
-def closure_json(closure: Closure) -> dict[str, Any]:
-    """The contents of closure.json."""
-    effects = [e.as_json() for e in closure.effects]
-    named = [e for e in effects if e["name"] not in (NONE, UNKNOWN)]
+def finding_json(
+    told: Closure | JointClosure, closures: Sequence[Closure], errors: Mapping[str, Any], noise_floor_K: float
+) -> dict[str, Any]:
+    """The first keys of closure.json, of one record or of several: data, errors, finding and candidates.
+
+    told   : what is told;  closures : of its records, each by itself
+    errors : `predicted`, `before` and `after` over all records
+    """
+    effects = [e.as_json() for e in told.effects]
     return {
         "format": "closure-report/2",
-        "records": [str(closure.record.directory)],
-        "sensors": [s.name for s in closure.record.used_sensors],
-        "predicted": None if closure.predicted is None else closure.predicted.segment_errors(),
-        "before": closure.before.segment_errors(),
-        "after": closure.after.segment_errors(),
-        "noise_floor_K": finite_or_none(closure.noise_floor_K),
-        "reference_condition": closure.reference_condition,
+        "records": [str(c.record.directory) for c in closures],
+        "sensors": list(dict.fromkeys(s.name for c in closures for s in c.record.used_sensors)),
+        **errors,
+        "noise_floor_K": finite_or_none(noise_floor_K),
+        "reference_condition": closures[0].reference_condition,
         "effect": effects[0],
-        "effects": named,
-        **closure.statement.as_json(),
-        "candidates": [c.as_json() for c in sorted(closure.candidates, key=lambda c: c.delta_bic)],
+        "effects": [e for e in effects if e["name"] not in (NONE, UNKNOWN)],
+        **told.statement.as_json(),
+        "candidates": [c.as_json() for c in sorted(told.candidates, key=lambda c: c.delta_bic)],
+    }
+
+
+def closure_json(closure: Closure) -> dict[str, Any]:
+    """The contents of closure.json."""
+    stages = {"predicted": closure.predicted, "before": closure.before, "after": closure.after}
+    errors = {name: None if stage is None else stage.segment_errors() for name, stage in stages.items()}
+    return {
+        **finding_json(closure, [closure], errors, closure.noise_floor_K),
         "residual_heating": HEATING_NAME,
         "curve": None if closure.curve is None else {"file": CURVE_NAME, "variable": closure.curve.variable},
         "estimated": {n: p.as_json() for n, p in closure.parameters.items()},
         "residual": closure.residual.as_json(),
         "residual_after": None if closure.residual_after is None else closure.residual_after.as_json(),
         "evidence": {**closure.evidence.as_json(), "proposal": closure.evidence.proposal()},
-        "data_faults": [{"kind": f.kind, "message": f.message} for f in closure.faults],
+        "data_faults": [asdict(f) for f in closure.faults],
         "false_alarm": closure.false_alarm,
         "samples": dict(closure.samples),
         "warnings": list(closure.warnings),

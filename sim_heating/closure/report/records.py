@@ -9,7 +9,7 @@ a point, or of a record), and `estimated` with labels `name@owner`.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import starmap
 from pathlib import Path
@@ -26,7 +26,7 @@ from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.report.record import not_effects_section, p_value_cell, tell_apart_section
+from sim_heating.closure.report.record import finding_json, not_effects_section, p_value_cell, tell_apart_section
 from sim_heating.closure.result import NAME, PAGE, RECORDS, Closure, JointClosure, finding_alone
 from sim_heating.closure.search.evidence import Evidence
 from sim_heating.closure.search.joint_model import RECORD
@@ -53,23 +53,16 @@ def _pooled_floor_K(joint: JointClosure) -> float:
 
 def joint_closure_json(joint: JointClosure) -> dict[str, Any]:
     """The contents of closure.json."""
-    effects = [e.as_json() for e in joint.effects]
-    first, best = joint.closures[0], joint.search.best
+    best = joint.search.best
     by_record = zip(joint.closures, joint.search.evidence, joint.after, strict=True)
     flights = {n: flight_as_json(e) for n, e in joint.flights.items()}
-    return {
-        "format": "closure-report/2",
-        "records": [str(c.record.directory) for c in joint.closures],
-        "sensors": list(dict.fromkeys(s.name for c in joint.closures for s in c.record.used_sensors)),
+    errors = {
         "predicted": _pooled_predictions(joint),
         "before": joint.pooled([c.before for c in joint.closures]),
         "after": joint.pooled(joint.after),
-        "noise_floor_K": finite_or_none(_pooled_floor_K(joint)),
-        "reference_condition": first.reference_condition,
-        "effect": effects[0],
-        "effects": effects if joint.search.explained and best.kind == "effect" else [],
-        **joint.statement.as_json(),
-        "candidates": [c.as_json() for c in sorted(joint.candidates, key=lambda c: c.delta_bic)],
+    }
+    return {
+        **finding_json(joint, joint.closures, errors, _pooled_floor_K(joint)),
         "residual_heating": None,
         "by_record": list(starmap(_record_json, by_record)),
         "model_error": {"flights": flights} if flights else None,
@@ -96,7 +89,7 @@ def _record_json(closure: Closure, e: Evidence, prediction: Prediction) -> dict[
         "delta_score": -e.for_cause,
         "delta_score_rival": None if e.over_rival is None else e.over_rival - e.for_cause,
         "agreement_p": e.agreement,
-        "data_faults": [{"kind": f.kind, "message": f.message} for f in closure.faults],
+        "data_faults": [asdict(f) for f in closure.faults],
         "own_values": {n: {"value": v, "sigma": finite_or_none(s)} for n, (v, s) in e.own.items()},
         "reference_condition": closure.reference_condition,
         "before": closure.before.segment_errors(),

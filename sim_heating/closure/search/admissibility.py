@@ -16,7 +16,6 @@ from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.newton import Status
-from sim_heating.estimation.record_fit import sensor_definition
 from sim_heating.heating.effects import effects
 
 OFF = "standard deviations off"
@@ -40,17 +39,11 @@ def _convergence(trial: TrialFit) -> list[str]:
     return ["its fit did not converge"]
 
 
-def _definitions(trial: TrialFit, candidate: Candidate) -> dict[str, Parameter]:
-    """Definitions of the parameters of an effect by dotted name, with their declared scatter."""
-    fit_of_record = trial.record_fit
-    return {n: sensor_definition(fit_of_record.record, n) or fit_of_record.model.definition(n) for n in candidate.names}
-
-
 def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
     """Objections to values: on a bound, or further from nominal than the declared scatter allows."""
     values, lines = fitted_values(trial), []
     names = [u.parameter.name for u in trial.problem.unknowns]
-    for name, p in _definitions(trial, candidate).items():
+    for name, p in trial.definitions(candidate.names).items():
         value, short = values[name], name.rpartition(".")[2]
         if trial.fit.on_bound[names.index(name)] and not abs(value - p.value) <= POLICY.near_bound_sigmas * p.sigma:
             line = [f"{short} is on its bound, {value:g}"]
@@ -93,7 +86,7 @@ def far_from_declared(trial: TrialFit, candidate: Candidate) -> list[str]:
     values = fitted_values(trial)
     return [
         f"{candidate.name}: {line}"
-        for name, p in _definitions(trial, candidate).items()
+        for name, p in trial.definitions(candidate.names).items()
         if name in candidate.with_prior and _has_any_size(trial, name)
         for line in _off(name.rpartition(".")[2], values[name], p)
     ]
@@ -136,7 +129,7 @@ def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
 
 def _none(trial: TrialFit, candidate: Candidate) -> dict[str, float]:
     """Values of an effect with which it does nothing, by dotted name; a declared one differs from its declaration."""
-    nominal = {n: p.value for n, p in _definitions(trial, candidate).items()}
+    nominal = {n: p.value for n, p in trial.definitions(candidate.names).items()}
     declared = {used.effect.name for used in trial.record_fit.record.declared.heating.effects}
     effect = None if candidate.name in declared else effects().get(candidate.name)
     if effect is None or not effect.neutral:

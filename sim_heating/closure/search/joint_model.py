@@ -24,22 +24,14 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX
 from sim_heating.closure.prior.model_error import flight_error
-from sim_heating.closure.search.changes.record_change import changed_trial
 from sim_heating.closure.search.ranking import scatter_price
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
-from sim_heating.closure.search.trials.trial_fit import (
-    CONVERGE,
-    OF_TABLE,
-    TrialFit,
-    held_out_problem_with,
-    problem_with,
-    sample_count,
-)
+from sim_heating.closure.search.trials.trial_fit import CONVERGE, OF_TABLE, TrialFit, sample_count, unfitted
 from sim_heating.estimation.inference.model_error import FLIGHT_PREFIX
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitProblem
-from sim_heating.estimation.record_fit import RecordFit, sensor_definition
+from sim_heating.estimation.record_fit import RecordFit, parameter_definition
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.record import Record
@@ -92,11 +84,9 @@ class Cause:
 
     def trial(self, base: TrialFit) -> TrialFit:
         """The trial of the cause in one record on top of its declared model, with the fit of that still."""
-        if self.change is None:
-            problem, held_out = problem_with(base, self.candidate), held_out_problem_with(base, self.candidate)
-            return replace(base, candidate=self.candidates[-1], problem=problem, held_out=held_out)
-        apply = self.change.apply
-        return changed_trial(base, lambda record: apply(record, 0.0))
+        apply = None if self.change is None else self.change.apply
+        changed = None if apply is None else lambda record: apply(record, 0.0)
+        return replace(unfitted(base, self.candidate, changed=changed), candidate=self.candidates[-1])
 
     def __repr__(self) -> str:
         return f"<Cause {' + '.join(self.names)}: {', '.join(self.candidate.names)}>"
@@ -177,7 +167,7 @@ class JointModel:
                 total += math.log(sum(counts[i] for i in u.records))
             if name in self.cause.candidate.with_prior:
                 fit = self.problem.record_fits[u.records[0]]
-                p = sensor_definition(fit.record, name) or fit.model.definition(name)
+                p = parameter_definition(fit.record, fit.model, name)
                 total += scatter_price(abs(float(values[k]) - p.value) / p.sigma)
         return total
 

@@ -22,16 +22,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import (
-    TrialFit,
-    fitted_values,
-    is_of_table,
-    sample_count,
-    table_log_prior,
-)
+from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic, is_of_table, sample_count, table_log_prior
 from sim_heating.closure.verdict.policy import POLICY
-from sim_heating.estimation.inference.newton import Fit
-from sim_heating.estimation.record_fit import sensor_definition
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,26 +89,6 @@ def model_bic(trial: TrialFit, best: TrialFit, common_names: Collection[str] = (
     return -2.0 * log_posterior + parameters * float(np.log(sample_count(trial.problem)))
 
 
-def delta_bic(base: TrialFit, fit: Fit, candidate: Candidate, c: float) -> float:
-    """BIC of a fit minus that of the model it is on top of; c is the scale of the residuals."""
-    gained = (fit.log_likelihood - base.fit.log_likelihood) / c + table_log_prior(fit) - table_log_prior(base.fit)
-    return float(-2.0 * gained + _parameter_cost(base, candidate))
-
-
-def needed_log_likelihood(base: TrialFit, candidate: Candidate, delta: float) -> float:
-    """Log likelihood that a fit of a candidate has at least where its `delta_bic` with c = 1 is as low as a given one.
-
-    The prior density of the table is taken at its largest.
-    """
-    cost = _parameter_cost(base, candidate)
-    return float(base.fit.log_likelihood + table_log_prior(base.fit) + 0.5 * (cost - delta))
-
-
-def _parameter_cost(base: TrialFit, candidate: Candidate) -> float:
-    """k log n of a candidate on top of a model."""
-    return float(len(candidate.names) * np.log(sample_count(base.problem)))
-
-
 def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
     """Probability of each candidate with equal prior ones, exp(-BIC / 2) over their sum."""
     lowest = min(delta_bic.values())
@@ -127,11 +99,7 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
 
 def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
     """What the estimates of an effect of a trial's model cost by their distances from their priors [BIC]."""
-    record_fit, values = trial.record_fit, fitted_values(trial)
-    priors = {
-        n: sensor_definition(record_fit.record, n) or record_fit.model.definition(n) for n in candidate.with_prior
-    }
-    return sum(scatter_price(abs(values[n] - p.value) / p.sigma) for n, p in priors.items())
+    return sum(map(scatter_price, trial.deviations_of(candidate.with_prior)))
 
 
 def scatter_price(deviation: float) -> float:

@@ -15,10 +15,9 @@ import numpy as np
 
 from sim_heating.base.errors import InputError
 from sim_heating.closure.search.admissibility import objections
-from sim_heating.closure.search.ranking import delta_bic, needed_log_likelihood
 from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic, needed_log_likelihood
 from sim_heating.closure.verdict.adequacy import assess
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.newton import NewtonSettings, Status
@@ -41,8 +40,7 @@ def refine(
     for contender in _contenders(base, forms, _fitted(base, forms, nameable)):
         by_name.setdefault(contender.name, []).append(contender)
     chosen = [min(rivals, key=lambda t: (not t.admissible, t.delta_bic)) for rivals in by_name.values()]
-    complete = [replace(t, held_out=trial_fit.held_out_problem_with(base, t.candidate)) for t in chosen]
-    return sorted(complete, key=lambda t: t.delta_bic)
+    return sorted((trial_fit.with_held_out(base, t) for t in chosen), key=lambda t: t.delta_bic)
 
 
 def fit_converged(
@@ -109,18 +107,11 @@ def _contenders(base: TrialFit, forms: Sequence[_Form], fitted: Sequence[TrialFi
     contenders = [_contender(t) for t in fitted]
     led = {form.leading.name: contender for form, contender in zip(forms, contenders, strict=True) if form.has_led}
     again = [k for k, t in enumerate(fitted) if t.fit.status is Status.BEHIND and not _may_be_named(led[t.name])]
-    for k, trial in zip(again, _fitted_on(base, [fitted[k] for k in again]), strict=True):
+    behind = [fitted[k] for k in again]
+    starts = [trial_fit.fitted_values(t) for t in behind]
+    for k, trial in zip(again, fit_converged([base] * len(again), [t.candidate for t in behind], starts), strict=True):
         contenders[k] = _contender(trial)
     return list(filter(None, contenders))
-
-
-def _fitted_on(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:
-    """Trials fitted on to convergence from where they are."""
-    fits = maximise_together([t.problem for t in trials], [t.fit.values for t in trials], trial_fit.CONVERGE)
-    return [
-        replace(t, fit=fit, delta_bic=delta_bic(base, fit, t.candidate, 1.0))
-        for t, fit in zip(trials, fits, strict=True)
-    ]
 
 
 def _may_be_named(contender: TrialFit | None) -> bool:
@@ -146,12 +137,10 @@ def recorrected(trial: TrialFit, record: Record) -> TrialFit:
         error_K, at_s = trial_fit.own_thinning_error(trial, record)
     except InputError:  # a broken sensor that one of the two leaves out
         return trial
-    again = trial_fit.corrected(trial, (error_K, at_s))
-    fit = maximise_together([again.problem], [trial.fit.values], trial_fit.CONVERGE)[0]
-    if not (np.any(error_K) and np.isfinite(fit.log_likelihood)):
+    if not np.any(error_K):
         return trial
-    delta = trial.delta_bic - 2.0 * (fit.log_likelihood - trial.fit.log_likelihood)
-    return replace(again, fit=fit, delta_bic=delta)
+    again = trial_fit.fitted_on(trial_fit.corrected(trial, (error_K, at_s)), trial_fit.CONVERGE)
+    return again if np.isfinite(again.fit.log_likelihood) else trial
 
 
 def _forms(base: TrialFit, trial: TrialFit, tried: Sequence[Candidate], predicted: Sequence[float]) -> list[_Form]:

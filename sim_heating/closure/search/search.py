@@ -45,7 +45,7 @@ from sim_heating.closure.search.hypothesis import (
     scored,
     with_one_more,
 )
-from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, scored_trials
+from sim_heating.closure.search.ranking import SearchRound, count_forms, scored_trials
 from sim_heating.closure.search.refine import fit_converged, recorrected, refine
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials import trial_fit
@@ -54,7 +54,7 @@ from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.free_forms import free_form, has_free_form
 from sim_heating.closure.search.trials.history_starts import history_starts
 from sim_heating.closure.search.trials.screening import fit_in_stages, gains_from, predicted_gains, select_candidates
-from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
 from sim_heating.inputs.points import conditions_of_record
@@ -370,7 +370,7 @@ class _Search:
         bases, starts = [stack[-1] for stack, _, _ in entries], [start for *_, start in entries]
         fitted = fit_converged(bases, [c for _, c, _ in entries], starts)
         return [
-            self.stack([*stack[1:], replace(t, held_out=trial_fit.held_out_problem_with(stack[-1], t.candidate))])
+            self.stack([*stack[1:], trial_fit.with_held_out(stack[-1], t)])
             for (stack, _, _), t in zip(entries, fitted, strict=True)
             if np.isfinite(t.fit.log_likelihood)
         ]
@@ -398,7 +398,7 @@ class _Search:
             start = {**trial_fit.fitted_values(below), **{n: values[n] for n in candidate.names}}
             (fitted,) = fit_converged([below], [candidate], [start])
             delta = delta_bic(self.first.base, fitted.fit, candidate, 1.0)
-            stack.append(replace(fitted, held_out=trial_fit.held_out_problem_with(below, candidate), delta_bic=delta))
+            stack.append(replace(trial_fit.with_held_out(below, fitted), delta_bic=delta))
         return stack[1:]
 
     def pruned(self, rated: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -603,10 +603,9 @@ def _round_of(
     """
     best: dict[str, TrialFit] = {}
     for t in fitted:
-        delta = delta_bic(base, t.fit, t.candidate, 1.0)
-        if np.isfinite(t.fit.log_likelihood) and (t.name not in best or delta < best[t.name].delta_bic):
-            best[t.name] = replace(t, delta_bic=delta)
-    trials = [replace(t, held_out=trial_fit.held_out_problem_with(base, t.candidate)) for t in best.values()]
+        if np.isfinite(t.fit.log_likelihood) and (t.name not in best or t.delta_bic < best[t.name].delta_bic):
+            best[t.name] = t
+    trials = [trial_fit.with_held_out(base, t) for t in best.values()]
     screened_out: dict[str, float] = {}
     for candidate, gain in zip(tried, gains, strict=True):
         if candidate.name not in best:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,11 @@ UNKNOWNS = {
 """Unknowns of the changes. Their standard deviations are guesses: shears of density of a tenth and winds of 1 % of the
 velocity are usual, as is half a degree of angle of attack; absorptances of paints and fluxes at a place under a lamp
 scatter by a tenth. Conditions that are too early are thermocouples that lag."""
+SCALED: Mapping[str, Callable[[Record, FloatArray | float], Record]] = {
+    "density": changed_flight.with_density,
+    "velocity": changed_flight.with_velocity,
+}
+"""By quantity, the record whose flight has it multiplied by a factor."""
 SHIFT_STARTS = (-30.0, -10.0, 10.0, 30.0)
 """Shifts that a fit may start from [s]: its likelihood has a maximum of its own at each steep part of the heating."""
 THINNEST_M, BRIEFEST_S = 1000.0, 20.0
@@ -82,14 +87,12 @@ def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> lis
     return [
         time_shift(starts),
         trajectory_shift(starts),
-        density_scale(),
-        velocity_scale(),
+        scale("density"),
+        scale("velocity"),
         alpha_bias(),
         alpha_smoothed(),
-        *(density_layer(*span, z_span) for span in layers),
-        *(smooth_layer(*span, z_span) for span in layers),
-        *(velocity_drift(*span, t_span) for span in times),
-        *(velocity_excursion(*span, t_span) for span in times),
+        *(form.between(*span, z_span) for form in (DENSITY_LAYER, SMOOTH_LAYER) for span in layers),
+        *(form.between(*span, t_span) for form in (VELOCITY_DRIFT, VELOCITY_EXCURSION) for span in times),
     ]
 
 
@@ -169,84 +172,66 @@ def trajectory_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
     )
 
 
-def density_scale() -> RecordChange:
-    """The density was another by a factor, along the whole flight."""
-    text = "density of the flight conditions"
-    return RecordChange("flight", text, UNKNOWNS["density"], changed_flight.with_density, _scaled(text))
+def scale(quantity: str) -> RecordChange:
+    """The density, or the velocity, was another by a factor along the whole flight; quantity : which of them."""
+    text = f"{quantity} of the flight conditions"
+    return RecordChange("flight", text, UNKNOWNS[quantity], SCALED[quantity], _scaled(text))
 
 
-def velocity_scale() -> RecordChange:
-    """The velocity was another by a factor, along the whole flight."""
-    text = "velocity of the flight conditions"
-    return RecordChange("flight", text, UNKNOWNS["velocity"], changed_flight.with_velocity, _scaled(text))
-
-
-def density_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE) -> RecordChange:
-    """The density was another by a factor between two altitudes [m].
-
-    limits : altitudes that these may be moved in [m]
-    """
-    edge_m = 1.0  # thickness of the edges of a sharp layer [m]
-    shape = ([low_m - edge_m, low_m, high_m, high_m + edge_m], [0.0, 1.0, 1.0, 0.0])
-    return _varied("density", "density between", "", density_layer, (low_m, high_m), shape, limits)
-
-
-def smooth_layer(low_m: float, high_m: float, limits: Span = EVERYWHERE) -> RecordChange:
-    """The density was another by a factor that rises and falls between two altitudes [m], as 1 - cos.
-
-    limits : altitudes that these may be moved in [m]
-    """
-    points = 33  # altitudes that the layer is interpolated between
-    at = np.linspace(0.0, 1.0, points)
-    shape = ((low_m + (high_m - low_m) * at).tolist(), (0.5 - 0.5 * np.cos(2.0 * np.pi * at)).tolist())
-    name = "density of a smooth layer between"
-    return _varied("density", name, ", at most", smooth_layer, (low_m, high_m), shape, limits)
-
-
-def velocity_drift(begin_s: float, end_s: float, limits: Span = EVERYWHERE) -> RecordChange:
-    """The velocity drifts away between two times [s], and keeps the factor that it has at the second."""
-    span, name = (begin_s, end_s), "drift of the velocity"
-    return _varied("velocity", name, ", at its end", velocity_drift, span, ([*span], [0.0, 1.0]), limits)
-
-
-def velocity_excursion(begin_s: float, end_s: float, limits: Span = EVERYWHERE) -> RecordChange:
-    """The velocity drifts away between two times [s] and returns as evenly: an error that was corrected."""
-    shape = ([begin_s, 0.5 * (begin_s + end_s), end_s], [0.0, 1.0, 0.0])
-    name, span = "excursion of the velocity", (begin_s, end_s)
-    return _varied("velocity", name, ", at its largest", velocity_excursion, span, shape, limits)
-
-
-def _varied(
-    quantity: str,
-    name: str,
-    where: str,
-    form: Callable[[float, float, Span], RecordChange],
-    span: Span,
-    shape: tuple[list[float], list[float]],
-    limits: Span,
-) -> RecordChange:
+@dataclass(frozen=True)
+class Variation:
     """A factor of the density that varies along the altitude, or of the velocity along the time.
 
-    quantity : "density" or "velocity";  span : altitudes [m] or times [s];  limits : that its ends may be moved in
-    shape    : altitudes [m] or times [s], and the part of the factor that holds there [-]
+    quantity : "density" or "velocity"
+    name     : of the change, without its ends;  where : at which place it has its value, in words
+    shape    : from its ends, altitudes [m] or times [s], and the part of the factor that holds there [-]
     """
-    of_density = quantity == "density"
-    ends = f"{span[0] / 1e3:.1f} and {span[1] / 1e3:.1f} km" if of_density else f"from {span[0]:.0f} to {span[1]:.0f} s"
-    text, shortest = f"{name} {ends}", THINNEST_M if of_density else BRIEFEST_S
 
-    def apply(record: Record, factor: float) -> Record:
-        x = record.conditions["altitude_m"] if of_density else record.conditions.time_s
-        factors = 1.0 + (factor - 1.0) * np.interp(x, *shape)
-        return (
-            changed_flight.with_density(record, factors)
-            if of_density
-            else changed_flight.with_velocity(record, factors)
-        )
+    quantity: str
+    name: str
+    where: str
+    shape: Callable[[float, float], tuple[Sequence[float], Sequence[float]]]
 
-    def near(fraction: float) -> tuple[RecordChange, ...]:
-        return tuple(form(*moved, limits) for moved in moved_ends(span, fraction, shortest, limits))
+    def between(self, low: float, high: float, limits: Span = EVERYWHERE) -> RecordChange:
+        """The change between two altitudes [m] or times [s]; limits : that these may be moved in."""
+        of_density = self.quantity == "density"
+        ends = f"{low / 1e3:.1f} and {high / 1e3:.1f} km" if of_density else f"from {low:.0f} to {high:.0f} s"
+        text, shortest = f"{self.name} {ends}", THINNEST_M if of_density else BRIEFEST_S
+        at, part = self.shape(low, high)
 
-    return RecordChange("flight", text, UNKNOWNS[quantity], apply, _scaled(text, where), form=name, near=near)
+        def apply(record: Record, factor: float) -> Record:
+            x = record.conditions["altitude_m"] if of_density else record.conditions.time_s
+            return SCALED[self.quantity](record, 1.0 + (factor - 1.0) * np.interp(x, at, part))
+
+        def near(fraction: float) -> list[RecordChange]:
+            return [self.between(*ends, limits) for ends in moved_ends((low, high), fraction, shortest, limits)]
+
+        words = _scaled(text, self.where)
+        return RecordChange("flight", text, UNKNOWNS[self.quantity], apply, words, form=self.name, near=near)
+
+
+def _smooth(low: float, high: float) -> tuple[list[float], list[float]]:
+    """Altitudes that a layer is interpolated between, and 1 - cos there."""
+    at = np.linspace(0.0, 1.0, 33)
+    return (low + (high - low) * at).tolist(), (0.5 - 0.5 * np.cos(2.0 * np.pi * at)).tolist()
+
+
+# the edges of a sharp layer are 1 m thick
+DENSITY_LAYER = Variation(
+    "density", "density between", "", lambda low, high: ([low - 1.0, low, high, high + 1.0], [0.0, 1.0, 1.0, 0.0])
+)
+"""The density was another by a factor between two altitudes."""
+SMOOTH_LAYER = Variation("density", "density of a smooth layer between", ", at most", _smooth)
+"""The density was another by a factor that rises and falls between two altitudes, as 1 - cos."""
+VELOCITY_DRIFT = Variation(
+    "velocity", "drift of the velocity", ", at its end", lambda begin, end: ([begin, end], [0.0, 1.0])
+)
+"""The velocity drifts away between two times, and keeps the factor that it has at the second."""
+VELOCITY_EXCURSION = Variation(
+    "velocity", "excursion of the velocity", ", at its largest",
+    lambda begin, end: ([begin, 0.5 * (begin + end), end], [0.0, 1.0, 0.0]),
+)  # fmt: skip
+"""The velocity drifts away between two times and returns as evenly: an error that was corrected."""
 
 
 def alpha_bias() -> RecordChange:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import groupby
 
 import numpy as np
@@ -23,6 +23,7 @@ import numpy as np
 from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
+from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import NO_EFFECT
 from sim_heating.closure.search.trials.change import RecordChange
@@ -34,7 +35,7 @@ from sim_heating.estimation.inference.error_likelihood import scored_readings
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import FittedChannel
-from sim_heating.estimation.side_by_side import JointMarch, iterate_together, maximise_together
+from sim_heating.estimation.side_by_side import JointMarch, iterate_together
 from sim_heating.inputs.record import Record
 
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
@@ -44,51 +45,104 @@ CANNOT_BE = (InputError, RunError)
 
 
 class _ChangedModel:
-    """A trial fit's model on a changed record, as a function of its parameters and, last, the value of the change.
+    """A trial fit's model on a changed record: a problem of the base's parameters and, last, that of the change.
+
+    Such is a change without a parameter, and one whose parameter is of the point's model or of a sensor: the problem
+    has its exact sensitivity.
 
     raises : InputError where the change has a parameter without a finite standard deviation
     """
 
-    exact = False
-    """Whether the sensitivity to the unknown is exact."""
-
     def __init__(self, base: TrialFit, change: RecordChange) -> None:
         self.base, self.change = base, change
-        self.parameters, self.step = list(base.problem.parameters), 0.0
+        self.parameters, self.names = list(base.problem.parameters), base.record_fit.names
         if change.parameter is not None:
             if not 0.0 < change.parameter.sigma < np.inf:
                 raise InputError(f"{change.what}: its parameter needs a finite sigma above 0")
             self.parameters.append(replace(change.parameter, sigma=trial_fit.WIDENED * change.parameter.sigma))
-            self.step = 0.1 * change.parameter.sigma  # h of the sensitivity
-        self._problems: dict[float, FitProblem] = {}
-        self._moved = base.problem
+            if change.in_model:
+                self.names = (*self.names, change.parameter.name)
 
     def start(self, value: float, *, declared: bool = False) -> FloatArray:
         """Vector of the base's estimates, or of its declared values, and a value of the change."""
         first = trial_fit.declared_values(self.base.problem) if declared else self.base.fit.values
         return first if self.change.parameter is None else np.append(first, value)
 
-    def problem(self, value: float) -> FitProblem:
-        """The base's problem on the record changed by a value."""
-        if self.change.parameter is not None and value == self.change.neutral:
-            return self.base.problem
-        if value not in self._problems:
-            record_fit = self.base.record_fit
-            record = self.change.apply(record_fit.record, value)
-            problem = trial_fit.candidate_problem(self.base, record_fit, NO_EFFECT, None, record)
-            problem.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[0]
-            self._problems[value] = problem
-        return self._problems[value]
-
     def split(self, vector: FloatArray) -> tuple[FloatArray, float]:
         """Parameters of the base's model, and value of the change."""
         return (vector, 0.0) if self.change.parameter is None else (vector[:-1], float(vector[-1]))
 
+    def changed(self, record: Record, value: float) -> Record:
+        """A record changed by a value; as it is where the value is a parameter of its model."""
+        return record if self.change.in_model else self.change.apply(record, value)
+
+    def problem(self, value: float) -> FitProblem:
+        """The base's problem on the record changed by a value; one for all values here."""
+        return self._problem
+
+    @cached_property
+    def _problem(self) -> FitProblem:
+        return self._problem_at(self.change.neutral)
+
+    def _problem_at(self, value: float) -> FitProblem:
+        record_fit = self.base.record_fit
+        record = self.changed(record_fit.record, value)
+        problem = trial_fit.candidate_problem(self.base, record_fit, NO_EFFECT, self.names, record)
+        problem.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[0]
+        return problem
+
+    @cached_property
+    def _order(self) -> IntArray:
+        """(parameter,) places in a vector of the problem's parameters: those of clock and sensors follow the march's,
+        one of a change among them."""
+        names = self.problem(self.change.neutral).record_fits[0].names
+        return np.array([self.names.index(n) for n in names], dtype=np.int64)
+
     def marches(self, vector: FloatArray) -> list[tuple[FitProblem, FloatArray]]:
         """Problems, each with its vector, that an evaluation needs marched."""
+        return [(self._problem, vector[self._order])]
+
+    def evaluate(self, vector: FloatArray) -> Evaluation:
+        """Log likelihood, gradient and information at a vector whose marches are made (FitProblem.evaluate)."""
+        evaluation, back = self._problem.evaluate(vector[self._order]), np.argsort(self._order)
+        return Evaluation(
+            evaluation.log_likelihood, evaluation.gradient[back], evaluation.information[np.ix_(back, back)]
+        )
+
+    def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
+        """(candidate,) log likelihoods of several vectors; NaN where a march fails."""
+        return self._problem.log_likelihoods(vectors[:, self._order])
+
+    def trial(self, fit: Fit) -> TrialFit:
+        """The base's model on the record as changed by the value that was fitted."""
+        value = self.split(fit.values)[1]
+        held_out = trial_fit.held_out_problem_with(self.base, NO_EFFECT, self.names, lambda r: self.changed(r, value))
+        if held_out is not None:
+            held_out.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[1]
+        selected = fit.select(self._order, [fit.names[k] for k in self._order])
+        return replace(self.base, problem=self.problem(value), held_out=held_out, fit=selected)
+
+
+class _DifferencedModel(_ChangedModel):
+    """A change whose parameter no model has: its sensitivity is the difference of two marches."""
+
+    def __init__(self, base: TrialFit, change: RecordChange, parameter: Parameter) -> None:
+        super().__init__(base, change)
+        self.step, self.largest = 0.1 * parameter.sigma, parameter.upper  # h of the sensitivity, bound of the value
+        self._problems: dict[float, FitProblem] = {}
+        self._moved = base.problem
+
+    def problem(self, value: float) -> FitProblem:
+        """The base's problem on the record changed by a value."""
+        if value == self.change.neutral:
+            return self.base.problem
+        if value not in self._problems:
+            self._problems[value] = self._problem_at(value)
+        return self._problems[value]
+
+    def marches(self, vector: FloatArray) -> list[tuple[FitProblem, FloatArray]]:
+        """The problem at the value, and the one that is a step away, each with its vector."""
         values, value = self.split(vector)
-        if self.change.parameter is None:
-            return [(self.problem(value), values)]
         self._problems = {v: p for v, p in self._problems.items() if v == value}
         problem = self.problem(value)
         record_fit = problem.record_fits[0]
@@ -104,22 +158,18 @@ class _ChangedModel:
 
     def _stepped(self, value: float) -> float:
         """A value one step away, within the bounds."""
-        upper = np.inf if self.change.parameter is None else self.change.parameter.upper
-        return value + self.step if value + self.step <= upper else value - self.step
+        return value + self.step if value + self.step <= self.largest else value - self.step
 
     def evaluate(self, vector: FloatArray) -> Evaluation:
-        """Log likelihood, gradient and information at a vector whose marches are made (FitProblem.evaluate)."""
+        """Log likelihood, gradient and information at a vector whose marches are made."""
         values, value = self.split(vector)
-        samples, m = self.problem(value).samples(values), len(self.parameters)
-        stepped, moved = self._stepped(value), samples
-        if self.change.parameter is not None:
-            moved = self._moved.samples(values[len(samples[0].record_fit.march_names) :])
+        samples, m, step = self.problem(value).samples(values), len(self.parameters), self._stepped(value) - value
+        moved = self._moved.samples(values[len(samples[0].record_fit.march_names) :])
         record_fit, by_channel = self.problem(value).record_fits[0], []
         for s, t in zip(samples, moved, strict=True):
             jacobian = np.zeros((len(s.mean_K), m))
             jacobian[:, s.record_fit.index] = s.sensitivity
-            if self.change.parameter is not None:
-                jacobian[:, -1] = _moved_K(s.mean_K, s.channel, t.mean_K, t.channel) / (stepped - value)
+            jacobian[:, -1] = _moved_K(s.mean_K, s.channel, t.mean_K, t.channel) / step
             by_channel.append(jacobian)
         sensitivity, scored = np.concatenate(by_channel), scored_readings(record_fit, [s.mean_K for s in samples])
         total = record_fit.known_log_likelihood + scored.log_likelihood
@@ -135,53 +185,6 @@ class _ChangedModel:
         except CANNOT_BE:
             return np.nan
 
-    def trial(self, fit: Fit) -> TrialFit:
-        """The base's model on the record as changed by the value found."""
-        values, value = self.split(fit.values)
-        held_out = trial_fit.held_out_problem_with(self.base, NO_EFFECT, changed=lambda r: self.change.apply(r, value))
-        if held_out is not None:
-            held_out.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[1]
-        return self._trial(self.problem(value), held_out, fit, np.arange(len(values)))
-
-    def _trial(self, problem: FitProblem, held_out: FitProblem | None, fit: Fit, order: IntArray) -> TrialFit:
-        """The base over other problems, with the parameters of a fit in their order."""
-        selected = fit.select(order, [fit.names[k] for k in order])
-        return replace(self.base, problem=problem, held_out=held_out, fit=selected)
-
-
-class _EstimatedModel(_ChangedModel):
-    """A change that is a parameter of the point's model or of a sensor: the problem has its sensitivity."""
-
-    exact = True
-
-    def __init__(self, base: TrialFit, change: RecordChange) -> None:
-        super().__init__(base, change)
-        record_fit = base.record_fit
-        # a parameter of the march is the last of these; those of clock and sensors follow
-        self._names = (*record_fit.names, self.parameters[-1].name)
-        self._problem = trial_fit.candidate_problem(base, record_fit, NO_EFFECT, self._names)
-        self._order = np.array([self._names.index(n) for n in self._problem.record_fits[0].names])
-        self._place = np.argsort(self._order)
-
-    def marches(self, vector: FloatArray) -> list[tuple[FitProblem, FloatArray]]:
-        """The one problem, with its vector."""
-        return [(self._problem, vector[self._order])]
-
-    def evaluate(self, vector: FloatArray) -> Evaluation:
-        """As that of the problem, the parameter of the change last."""
-        evaluation = self._problem.evaluate(vector[self._order])
-        information = evaluation.information[np.ix_(self._place, self._place)]
-        return Evaluation(evaluation.log_likelihood, evaluation.gradient[self._place], information)
-
-    def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
-        """(candidate,) log likelihoods of several vectors; NaN where a march fails."""
-        return self._problem.log_likelihoods(vectors[:, self._order])
-
-    def trial(self, fit: Fit) -> TrialFit:
-        """The base's model with the parameter of the change as one of its own."""
-        held_out = trial_fit.held_out_problem_with(self.base, NO_EFFECT, self._names)
-        return self._trial(self._problem, held_out, fit, self._order)
-
 
 def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
     """A trial with more parameters of its model free, at their nominal values; itself where they are free already."""
@@ -189,23 +192,18 @@ def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
     if all(name in fitted for name in names):
         return base
 
-    freed = changed_trial(base, lambda record: record, (*fitted, *names))
+    freed = trial_fit.unfitted(base, names=(*fitted, *names))
     parameters = freed.problem.parameters
     values = trial_fit.start_values(freed.problem, trial_fit.fitted_values(base))
     return replace(freed, fit=replace(base.fit, names=tuple(p.name for p in parameters), values=values))
 
 
-def changed_trial(base: TrialFit, changed: Callable[[Record], Record], names: Sequence[str] | None = None) -> TrialFit:
-    """A trial over another record, or with other unknowns by their dotted names, with the fit that it had."""
-    record_fit = base.record_fit
-    problem = trial_fit.candidate_problem(base, record_fit, NO_EFFECT, names, changed(record_fit.record))
-    return replace(base, problem=problem, held_out=trial_fit.held_out_problem_with(base, NO_EFFECT, names, changed))
-
-
 def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
     """The model of a trial fit on a changed record."""
     base = _with_free(base, change.free)
-    return (_EstimatedModel if change.in_model else _ChangedModel)(base, change)
+    if change.parameter is None or change.in_model:
+        return _ChangedModel(base, change)
+    return _DifferencedModel(base, change, change.parameter)
 
 
 def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, moved: FittedChannel) -> FloatArray:
@@ -299,7 +297,7 @@ def _from_declared(
     gross_excess = 10.0  # excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
     if not base.excess_chi2 > gross_excess:
         return []
-    numbers = [i for i, m in enumerate(models) if m.change.kind == "sensor" and not m.exact]
+    numbers = [i for i, m in enumerate(models) if m.change.kind == "sensor" and not m.change.in_model]
     starts = [models[i].start(values[i], declared=True) for i in numbers]
     predicted = _predicted([models[i] for i in numbers], starts)
     return list(zip(numbers, starts, predicted, strict=True))
@@ -419,10 +417,8 @@ def _recorrected(baseline: FitResult, base: TrialFit, trial: TrialFit) -> TrialF
     if change.parameter is not None:
         model = _model(trial_fit.corrected(base, correction), change)
         return _change_fit(model, _maximise([model], [fit.values])[0]) or trial
-    trial = trial_fit.corrected(trial, correction)
-    again = maximise_together([trial.problem], [trial.fit.values], trial_fit.QUICK)[0]
-    delta = trial.delta_bic - 2.0 * (again.log_likelihood - trial.fit.log_likelihood)
-    return replace(trial, fit=again, whole_fit=again, delta_bic=delta)
+    again = trial_fit.fitted_on(trial_fit.corrected(trial, correction), trial_fit.QUICK)
+    return replace(again, whole_fit=again.fit)
 
 
 def _move_ends(models: list[_ChangedModel], fits: list[Fit], chosen: Sequence[int], searches: int = 1) -> None:

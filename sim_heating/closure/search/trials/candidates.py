@@ -24,11 +24,10 @@ from sim_heating.heating.effects.transition import BY_RE_THETA, TRANSITION
 from sim_heating.inputs.points import flow_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.ensemble import condition_history
+from sim_heating.thermal.stack import Sensor
 
 SENSOR_EFFECT, LAG_EFFECT = "sensor-bias", "sensor-lag"
 """Names in a closure report of a wrong bias or gain of a thermocouple, and of a lag of one or of all of them."""
-BIASES, LAGS = (("bias",), ("gain",), ("bias", "gain")), (("tau_s",),)
-"""Parameters of a sensor that are estimated together."""
 ONSET_NAME = "log10_re_onset"
 """Parameter that the search for a declared transition is started from several values of."""
 
@@ -105,9 +104,13 @@ def candidates(
     for effect in _addable(record, excluded):
         if _is_usable(effect, flown):
             tried += _effect_candidates(effect, record, flown)
-    for name, forms in ((SENSOR_EFFECT, BIASES), (LAG_EFFECT, LAGS)):
-        if name not in excluded:
-            tried += _sensor_candidates(record, name, forms)
+    if SENSOR_EFFECT not in excluded:
+        tried += [c for sensor in record.used_sensors for c in _bias_candidates(sensor)]
+    # the lag of a single one is that of all
+    if LAG_EFFECT not in excluded and len(record.used_sensors) > 1:
+        for sensor in record.used_sensors:
+            lag = replace(SENSOR["tau_s"], name=sensor_parameter(sensor, "tau_s"), value=sensor.tau_s)
+            tried += _lag_candidates(lag)
     return tried
 
 
@@ -241,18 +244,13 @@ def _within(value: float, limits: tuple[float, float]) -> float:
     return min(max(value, limits[0]), limits[1])
 
 
-def _sensor_candidates(record: Record, effect: str, forms: Sequence[tuple[str, ...]]) -> list[Candidate]:
-    """Errors of each used sensor by itself; no lag of a single one, which is that of all."""
-    tried = []
-    for sensor in record.used_sensors if len(record.used_sensors) > 1 or forms is BIASES else []:
-        for errors in forms:
-            names = tuple(sensor_parameter(sensor, error) for error in errors)
-            if forms is LAGS:
-                tried += _lag_candidates(replace(SENSOR["tau_s"], name=names[0], value=sensor.tau_s))
-                continue
-            start = {n: error_definition(sensor, e).value for n, e in zip(names, errors, strict=True)}
-            tried.append(Candidate(effect, (), names, start, active=names, with_prior=names))
-    return tried
+def _bias_candidates(sensor: Sensor) -> list[Candidate]:
+    """A bias, a gain, or both of one thermocouple."""
+    starts = [
+        {sensor_parameter(sensor, error): error_definition(sensor, error).value for error in errors}
+        for errors in (("bias",), ("gain",), ("bias", "gain"))
+    ]
+    return [Candidate(SENSOR_EFFECT, (), tuple(s), s, active=tuple(s), with_prior=tuple(s)) for s in starts]
 
 
 def _lag_candidates(lag: Parameter) -> list[Candidate]:

@@ -17,7 +17,7 @@ from sim_heating.base.parallel.processes import in_shares
 from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
 from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.error_likelihood import ScoredReadings, scored_readings
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
@@ -88,13 +88,12 @@ def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
         for p, c in zip(problems, candidates, strict=True)
     ]
     limit, gains = _largest_gain(base), []
-    for problem, first, done in zip(problems, firsts, JointMarch(problems).march(firsts), strict=True):
-        if not done:
+    for problem, first, here in zip(problems, firsts, JointMarch(problems).evaluate(firsts), strict=True):
+        gained = here.log_likelihood - base.fit.log_likelihood
+        if not np.isfinite(gained):
             gains.append(-np.inf)
             continue
-        evaluation = problem.evaluate(first)
-        gained = evaluation.log_likelihood - base.fit.log_likelihood
-        promised = gained + gain_of_step(problem.parameters, first, evaluation)
+        promised = gained + gain_of_step(problem.parameters, first, here)
         gains.append(max(gained, min(promised, limit)) + tie * gained)
     return gains
 
@@ -273,7 +272,10 @@ def fit_in_stages(
     stages = [Stage(more_steps, promising), Stage(more_steps, near), Stage(trial_fit.QUICK, can_be_best)]
     vectors = [trial_fit.start_values(*p) for p in zip(problems, starts, strict=True)]
     fits = fit_staged(maximise, vectors, few, stages, reached)
-    return [TrialFit(c.name, c, p, None, f) for c, p, f in zip(candidates, problems, fits, strict=True)]
+    return [
+        TrialFit(c.name, c, p, None, f, delta_bic(b, f, c, 1.0))
+        for b, c, p, f in zip(bases, candidates, problems, fits, strict=True)
+    ]
 
 
 def _best(history: Sequence[FloatArray]) -> float:

@@ -46,7 +46,14 @@ from sim_heating.estimation.inference.model_error import ErrorSize, HeatingError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
 from sim_heating.estimation.problem import FitOptions, FitProblem
-from sim_heating.estimation.record_fit import SKEW_SPAN_S, PredictedSamples, RecordFit, least_sigma_K, take_error
+from sim_heating.estimation.record_fit import (
+    SKEW_SPAN_S,
+    PredictedSamples,
+    RecordFit,
+    least_sigma_K,
+    parameter_definition,
+    take_error,
+)
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record
@@ -116,12 +123,19 @@ class TrialFit:
         parameter = None if self.change is None else self.change.parameter
         return 0.0 if parameter is None else abs(self.value - parameter.value) / parameter.sigma
 
+    def definitions(self, names: Sequence[str]) -> dict[str, Parameter]:
+        """Definitions of parameters by dotted name, with the scatter that is declared or usual."""
+        return {n: parameter_definition(self.record_fit.record, self.record_fit.model, n) for n in names}
+
+    def deviations_of(self, names: Sequence[str]) -> list[float]:
+        """Distances of estimated parameters from their declared values, in standard deviations [-]."""
+        values = fitted_values(self)
+        return [abs(values[n] - p.value) / p.sigma for n, p in self.definitions(names).items()]
+
     @property
     def deviations_of_free(self) -> list[float]:
         """Distance of each model parameter freed with a change from its prior, in standard deviations [-]."""
-        record_fit, values = self.record_fit, fitted_values(self)
-        priors = {name: record_fit.model.definition(name) for name in (self.change.free if self.change else ())}
-        return [abs(values[name] - p.value) / p.sigma for name, p in priors.items()]
+        return self.deviations_of(self.change.free if self.change else ())
 
     @property
     def estimates(self) -> dict[str, tuple[Parameter, float, float]]:
@@ -408,13 +422,17 @@ def with_own_error(trial: TrialFit) -> TrialFit:
         return trial
     sized = with_error(trial, error)
     size = _size_of_error(sized, prior)
-    sized = with_error(sized, error.of_size(*size.likeliest))
-    fit = maximise_together([sized.problem], [trial.fit.values], replace(CONVERGE, iterations=40))[0]
-    if not np.isfinite(fit.log_likelihood):
+    sized = fitted_on(with_error(sized, error.of_size(*size.likeliest)), replace(CONVERGE, iterations=40))
+    if not np.isfinite(sized.fit.log_likelihood):
         return trial
-    gained = fit.log_likelihood - trial.fit.log_likelihood
-    sized = replace(sized, fit=fit, delta_bic=trial.delta_bic - 2.0 * gained)
     return replace(sized, size=_size_of_error(sized, prior))
+
+
+def fitted_on(trial: TrialFit, settings: NewtonSettings) -> TrialFit:
+    """A trial fitted on from its values; its log likelihood is not finite where it cannot be marched."""
+    fit = maximise_together([trial.problem], [trial.fit.values], settings)[0]
+    gained = fit.log_likelihood - trial.fit.log_likelihood
+    return replace(trial, fit=fit, delta_bic=trial.delta_bic - 2.0 * gained)
 
 
 def with_error(trial: TrialFit, error: ModelError) -> TrialFit:
@@ -537,6 +555,24 @@ def held_out_problem_with(
     return candidate_problem(base, record_fit, candidate, names, record, sample_masks=[record.holdout_mask()])
 
 
+def with_held_out(base: TrialFit, trial: TrialFit) -> TrialFit:
+    """The trial of a candidate on top of a base, with the samples that are held out."""
+    return replace(trial, held_out=held_out_problem_with(base, trial.candidate))
+
+
+def unfitted(
+    base: TrialFit,
+    candidate: Candidate = NO_EFFECT,
+    names: Sequence[str] | None = None,
+    changed: Callable[[Record], Record] | None = None,
+) -> TrialFit:
+    """A base with a candidate's parameters, or others by name, or over a changed record; its fit is as before."""
+    record_fit = base.record_fit
+    record = None if changed is None else changed(record_fit.record)
+    problem = candidate_problem(base, record_fit, candidate, names, record)
+    return replace(base, problem=problem, held_out=held_out_problem_with(base, candidate, names, changed))
+
+
 def candidate_problem(
     base: TrialFit,
     record_fit: RecordFit,
@@ -602,6 +638,26 @@ def table_log_prior(fit: Fit) -> float:
     """
     of_table = np.array([n in OF_TABLE for n in fit.names])
     return -0.5 * float(np.sum(fit.prior_information[of_table] * fit.values[of_table] ** 2))
+
+
+def delta_bic(base: TrialFit, fit: Fit, candidate: Candidate, c: float) -> float:
+    """BIC of a fit minus that of the model it is on top of; c is the scale of the residuals."""
+    gained = (fit.log_likelihood - base.fit.log_likelihood) / c + table_log_prior(fit) - table_log_prior(base.fit)
+    return float(-2.0 * gained + _parameter_cost(base, candidate))
+
+
+def needed_log_likelihood(base: TrialFit, candidate: Candidate, delta: float) -> float:
+    """Log likelihood that a fit of a candidate has at least where its `delta_bic` with c = 1 is as low as a given one.
+
+    The prior density of the table is taken at its largest.
+    """
+    cost = _parameter_cost(base, candidate)
+    return float(base.fit.log_likelihood + table_log_prior(base.fit) + 0.5 * (cost - delta))
+
+
+def _parameter_cost(base: TrialFit, candidate: Candidate) -> float:
+    """k log n of a candidate on top of a model."""
+    return float(len(candidate.names) * np.log(sample_count(base.problem)))
 
 
 def is_fitted(base: TrialFit, name: str) -> bool:
