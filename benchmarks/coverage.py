@@ -30,7 +30,8 @@ import numpy as np
 
 from benchmarks import tile_left_out
 from benchmarks.challenge import recorder as recording
-from benchmarks.challenge.case import FINE_S, Case, Deviation, make_case
+from benchmarks.challenge.case import FINE_S, Case, make_case
+from benchmarks.challenge.deviation import Deviation
 from benchmarks.challenge.flight import draw_flight
 from benchmarks.challenge.judge import finished
 from benchmarks.challenge.point import DERIVATIVES, FELTS, FLAPS, TILES, Point, Ratio, draw_point, draw_ratio, times

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from benchmarks.challenge.air import LENGTH_M, R_AIR, reference_heating, viscosity, wall_enthalpy
+from benchmarks.challenge.deviation import HOT_K, NOTHING, Deviation
 from benchmarks.challenge.flight import Flight
 from benchmarks.challenge.point import VARIABLES, Point, Ratio
-from benchmarks.challenge.wall import HOT_K, Forcing, Wall, build, march
+from benchmarks.challenge.wall import Forcing, Wall, build, march
 
 FloatArray = NDArray[np.float64]
-Weights = Callable[[FloatArray], FloatArray]
 
 FINE_S, COARSE_S = 0.2, 1.0
 """Steps of the truth, and of estimates of differences."""
@@ -44,64 +43,6 @@ FORMATS = {
     "axial_accel_g": ".5f",
 }
 """Digits of conditions.csv; a truth without error of the flight is heated with the numbers in the file."""
-
-
-@dataclass(frozen=True)
-class Deviation:
-    """How the truth deviates from the declared model with the right scale and slopes.
-
-    add, multiply : (time,) to the heating ratio, in this order
-    eps_factor    : (time,) on the emissivity
-    hot, hot_share: relative rise of the ratio with wall temperature on HOT_K, (time,) share of it that acts
-    walls         : changes made to a copy of the declared stack and materials
-    shifts_m      : thermocouple -> how much deeper it is than declared
-    back          : film coefficient, temperature, emissivity, exponent
-    deposit       : weights of a depth, share of the convective flux, share of it that the surface lacks
-    added         : (time,) flux into the surface besides convection [W/m2]
-    side          : weights of a depth: G of what is lost sideways [W/(m3 K)]
-    water         : content of a depth [kg/m3]; latent heat, boiling and width [K], time [s], share condensing inward
-    read, after   : on (time, sensor) temperatures before noise and word, and after them
-    skew_s        : (time,) by which the clock of the thermocouples lags
-    """
-
-    add: FloatArray | float = 0.0
-    multiply: FloatArray | float = 1.0
-    eps_factor: FloatArray | float = 1.0
-    hot: FloatArray | float = 0.0
-    hot_share: FloatArray | float = 1.0
-    walls: tuple[Callable[[dict[str, Any], dict[str, Any]], None], ...] = ()
-    shifts_m: tuple[tuple[int, float], ...] = ()
-    back: tuple[float, ...] | None = None
-    deposit: tuple[Weights, float, float] | None = None
-    added: FloatArray | float = 0.0
-    side: Weights | None = None
-    water: tuple[Weights, FloatArray] | None = None
-    read: tuple[Callable[[FloatArray, FloatArray], FloatArray], ...] = ()
-    after: tuple[Callable[[FloatArray, FloatArray], FloatArray], ...] = ()
-    skew_s: FloatArray | float = 0.0
-
-    def __add__(self, other: Deviation) -> Deviation:
-        """Both at once."""
-        return Deviation(
-            add=self.add + other.add,
-            multiply=self.multiply * other.multiply,
-            eps_factor=self.eps_factor * other.eps_factor,
-            hot=(1.0 + self.hot) * (1.0 + other.hot) - 1.0,
-            hot_share=self.hot_share * other.hot_share,
-            walls=self.walls + other.walls,
-            shifts_m=self.shifts_m + other.shifts_m,
-            back=self.back or other.back,
-            deposit=self.deposit or other.deposit,
-            added=self.added + other.added,
-            side=self.side or other.side,
-            water=self.water or other.water,
-            read=self.read + other.read,
-            after=self.after + other.after,
-            skew_s=self.skew_s + other.skew_s,
-        )
-
-
-NOTHING = Deviation()
 
 
 @dataclass(frozen=True)
@@ -220,12 +161,8 @@ class History:
     def _wall(self, deviation: Deviation) -> tuple[Wall, list[float]]:
         """The true wall and the true depths of the thermocouples."""
         point = self.case.point
-        stack, materials, depths = point.stack, point.materials, list(point.depths_m)
-        if deviation.walls:
-            stack, materials = deepcopy(stack), deepcopy(materials)
-            for change in deviation.walls:
-                change(stack, materials)
-            depths = [_moved(depth, point.stack, stack) for depth in depths]
+        stack, materials = deviation.of_wall(point.stack, point.materials)
+        depths = [_moved(depth, point.stack, stack) if deviation.walls else depth for depth in point.depths_m]
         for sensor, shift in deviation.shifts_m:
             depths[sensor] += shift
         share = 1.0 if self.step_s < COARSE_S else COARSE
@@ -280,8 +217,3 @@ def make_case(
     warm = heating > 0.25 * np.max(heating)
     reference = np.array([round(float(np.mean(columns[v][warm])), 2) for v in VARIABLES])
     return Case(flight, point, ratio_of(reference), columns, columns, cp_J_kgK)
-
-
-def used(sensors: Sequence[Mapping[str, Any]]) -> list[int]:
-    """Numbers of the thermocouples that are fitted."""
-    return [i for i, s in enumerate(sensors) if s.get("used", True)]

@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from benchmarks.challenge.case import Case, Deviation, History, used
+from benchmarks.challenge.case import Case, History
+from benchmarks.challenge.deviation import Deviation
 from benchmarks.challenge.form import Family, Generator, Parameters, Unsuitable, sign
 from benchmarks.challenge.on_ratio import ALPHA, ELEVON, LOG_RE, departure, relay, spread
-from benchmarks.challenge.on_wall import STEP, change_of, on_sensor, place, reshaped
+from benchmarks.challenge.on_wall import STEP, change_of, on_sensor, reshaped, sensor_number
 from benchmarks.challenge.point import FELTS, FLAPS, IN_DEPTH, TILES, material
+from benchmarks.challenge.recorder import used
 
 FloatArray = NDArray[np.float64]
 State = dict[str, FloatArray]
@@ -185,7 +187,7 @@ def _two(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 
 
 def _swap(history: History, form: str, p: Parameters) -> Deviation:
-    i, j = place(history, p), place(history, {"sensor": p["with"]})
+    i, j = sensor_number(history.case, p), sensor_number(history.case, {"sensor": p["with"]})
 
     def read(t: FloatArray, T: FloatArray) -> FloatArray:
         order = list(range(T.shape[1]))
@@ -210,7 +212,9 @@ def _after(number: int, change: Any) -> Deviation:
 
 
 def _unit(history: History, form: str, p: Parameters) -> Deviation:
-    return _after(place(history, p), lambda t, T: T - 273.15 if form == "degC" else (T - 273.15) * 1.8 + 32.0)
+    return _after(
+        sensor_number(history.case, p), lambda t, T: T - 273.15 if form == "degC" else (T - 273.15) * 1.8 + 32.0
+    )
 
 
 def _draw_stuck(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -223,7 +227,7 @@ def _stuck(history: History, form: str, p: Parameters) -> Deviation:
         held = T[known[-1]] if len(known) else np.nan
         return np.where((t > p["start_s"]) & np.isfinite(T) & np.isfinite(held), held, T)
 
-    return _after(place(history, p), change)
+    return _after(sensor_number(history.case, p), change)
 
 
 def _draw_clipped(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -234,7 +238,7 @@ def _draw_clipped(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 
 
 def _clipped(history: History, form: str, p: Parameters) -> Deviation:
-    return on_sensor(place(history, p), lambda t, T: np.minimum(T, p["limit_K"]))
+    return on_sensor(sensor_number(history.case, p), lambda t, T: np.minimum(T, p["limit_K"]))
 
 
 def _draw_drift(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -244,8 +248,10 @@ def _draw_drift(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 def _drift(history: History, form: str, p: Parameters) -> Deviation:
     share = history.t / history.t[-1]
     if form == "hot":  # with the time spent hot, as a junction that deteriorates
-        return on_sensor(place(history, p), lambda t, T: T + p["drift_K"] * np.cumsum(0.7 * np.max(T) < T) / len(t))
-    return on_sensor(place(history, p), lambda t, T: T + p["drift_K"] * share)
+        return on_sensor(
+            sensor_number(history.case, p), lambda t, T: T + p["drift_K"] * np.cumsum(0.7 * np.max(T) < T) / len(t)
+        )
+    return on_sensor(sensor_number(history.case, p), lambda t, T: T + p["drift_K"] * share)
 
 
 def _draw_gain(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -253,7 +259,7 @@ def _draw_gain(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 
 
 def _gain(history: History, form: str, p: Parameters) -> Deviation:
-    return on_sensor(place(history, p), lambda t, T: p["gain"] * T)
+    return on_sensor(sensor_number(history.case, p), lambda t, T: p["gain"] * T)
 
 
 def _draw_depth(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -266,7 +272,7 @@ def _draw_depth(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 
 
 def _depth(history: History, form: str, p: Parameters) -> Deviation:
-    point, number = history.case.point, place(history, p)
+    point, number = history.case.point, sensor_number(history.case, p)
     depth = point.depths_m[number] + p["deeper_m"]
     if not 0.0 < depth < sum(e["thickness_m"] for e in point.stack["layer"]):
         raise Unsuitable
@@ -280,7 +286,7 @@ def _draw_lag_change(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 
 def _lag_change(history: History, form: str, p: Parameters) -> Deviation:
     share = np.clip((history.t - p["start_s"]) / 60.0, 0.0, 1.0)
-    return on_sensor(place(history, p), lambda t, T: T + share * (history.lagged(T, p["tau_s"]) - T))
+    return on_sensor(sensor_number(history.case, p), lambda t, T: T + share * (history.lagged(T, p["tau_s"]) - T))
 
 
 # Table ---------------------------------------------------------------------------------------------------------------

@@ -8,12 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.challenge.case import Case, Deviation, History
+from benchmarks.challenge.deviation import Deviation
 
 Generator = np.random.Generator
 Parameters = Mapping[str, Any]
-Draw = Callable[[Generator, Case, str], dict[str, Any]]
-Act = Callable[[History, str, Parameters], Deviation]
+Draw = Callable[[Generator, Any, str], dict[str, Any]]
+"""Random numbers, a case of the set, form -> parameters."""
+Act = Callable[[Any, str, Parameters], Deviation]
+"""The case on the steps of a march, form, parameters -> how the truth deviates."""
+
+
+VISIBLE = (2.2, 16.0)
+"""Residual of a deviation over the noise floor, where it acts, after a refit of scale and slopes."""
 
 
 class Unsuitable(Exception):
@@ -28,11 +34,13 @@ class Family:
     draw, act : parameters of a form; how the truth deviates on the steps of a march
     magnitude : parameter -> its value without effect, least, greatest; changed until the effect is as visible as drawn
     needs     : kinds of manoeuvres without which it cannot be seen
-    points    : names of points that show it; empty for all
+    points    : names or kinds of points that show it; empty for all
     recorded  : for a fault of the flight: the state as it was recorded, from the state as it was
     effects   : names of effects that report it all the same
     is_slope  : whether a refit of the slopes takes up all of it
     same      : form -> another effect that is the same function once the slopes are fitted
+    least_sensors : least number of thermocouples that show it
+    residual      : range of its residual over the noise floor, where it acts, after a refit of scale and slopes
     kind      : "wall", "flight" or "sensor" of a fault whose class does not say it; empty where it is none of them
     """
 
@@ -43,11 +51,13 @@ class Family:
     magnitude: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     needs: tuple[str, ...] = ()
     points: tuple[str, ...] = ()
-    recorded: Callable[[Case, str, Parameters, dict[str, Any]], dict[str, Any]] | None = None
+    recorded: Callable[[Any, str, Parameters, dict[str, Any]], dict[str, Any]] | None = None
     effects: tuple[str, ...] = ()
     is_slope: bool = False
     kind: str = ""
     same: Mapping[str, str] = field(default_factory=dict)
+    least_sensors: int = 1
+    residual: tuple[float, float] = VISIBLE
 
 
 @dataclass(frozen=True)
@@ -58,11 +68,11 @@ class Drawn:
     form: str
     parameters: dict[str, Any]
 
-    def deviation(self, history: History) -> Deviation:
+    def deviation(self, history: Any) -> Deviation:
         """How the truth deviates on the steps of a march."""
         return self.family.act(history, self.form, self.parameters)
 
-    def recorded(self, case: Case) -> Case:
+    def recorded(self, case: Any) -> Any:
         """The case as recorded with it."""
         wrong = self.family.recorded
         if wrong is None:
@@ -87,7 +97,7 @@ class Drawn:
         return replace(self, parameters=changed)
 
 
-def draw(rng: Generator, family: Family, case: Case, form: str | None = None) -> Drawn:
+def draw(rng: Generator, family: Family, case: Any, form: str | None = None) -> Drawn:
     """A form with its parameters; raises Unsuitable."""
     form = str(rng.choice(family.forms)) if form is None else form
     found = family.draw(rng, case, form)

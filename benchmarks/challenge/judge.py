@@ -16,10 +16,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.challenge.case import COARSE_S, NOTHING, Case, Deviation, used
+from benchmarks.challenge.case import COARSE_S, Case
+from benchmarks.challenge.deviation import NOTHING, Deviation
 from benchmarks.challenge.form import Drawn, Family, Unsuitable, draw
 from benchmarks.challenge.point import SLOPES
-from benchmarks.challenge.recorder import floor_K
+from benchmarks.challenge.recorder import floor_K, used
 
 FloatArray = NDArray[np.float64]
 Generator = np.random.Generator

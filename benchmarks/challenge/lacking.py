@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.challenge.case import Case, Deviation, History
+from benchmarks.challenge.case import Case, History
+from benchmarks.challenge.deviation import Deviation
 from benchmarks.challenge.faults import hot_time, nothing, one_sensor
 from benchmarks.challenge.form import Family, Generator, Parameters, Unsuitable, sign
-from benchmarks.challenge.on_wall import STEP, on_sensor, place
+from benchmarks.challenge.on_wall import STEP, on_sensor, sensor_number
 from benchmarks.challenge.point import FELTS, FLAPS, IN_DEPTH, TILES
 
 FloatArray = NDArray[np.float64]
@@ -40,14 +41,14 @@ def _draw_polynomial(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 
 
 def _polynomial(history: History, form: str, p: Parameters) -> Deviation:
-    low, high = history.case.point.sensors[place(history, p)]["range_K"]
+    low, high = history.case.point.sensors[sensor_number(history.case, p)]["range_K"]
 
     def bent(t: FloatArray, T: FloatArray) -> FloatArray:
         x = (T - low) / (high - low)
         shape = 4.0 * x * (1.0 - x) if form == "quadratic" else 10.4 * x * (1.0 - x) * (1.0 - 2.0 * x)
         return np.asarray(T + p["bend_K"] * shape)
 
-    return on_sensor(place(history, p), bent)
+    return on_sensor(sensor_number(history.case, p), bent)
 
 
 def _draw_drift(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -169,7 +170,7 @@ def _junction(history: History, form: str, p: Parameters) -> Deviation:
             return np.asarray(T - p["error_K"] * -np.expm1(-t / p["time_s"]))
         return np.asarray(T - p["error_K"] * (T / 1000.0) ** 4)
 
-    return on_sensor(place(history, p), read)
+    return on_sensor(sensor_number(history.case, p), read)
 
 
 LACKING: dict[str, tuple[Family, ...]] = {

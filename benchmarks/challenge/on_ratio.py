@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf, expit
 
-from benchmarks.challenge.case import Case, Deviation, History
+from benchmarks.challenge.case import Case, History
+from benchmarks.challenge.deviation import Deviation
 from benchmarks.challenge.form import Family, Generator, Parameters, Unsuitable, sign
 from benchmarks.challenge.point import FELTS, FLAPS, OWN, TILES
 

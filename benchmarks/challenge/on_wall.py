@@ -23,10 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from benchmarks.challenge.case import Case, Deviation, History, used
+from benchmarks.challenge.case import Case, History
+from benchmarks.challenge.deviation import HOT_K, Deviation
 from benchmarks.challenge.form import Family, Generator, Parameters, Unsuitable, sign
 from benchmarks.challenge.point import FELTS, FLAPS, IN_DEPTH, TILES
-from benchmarks.challenge.wall import HOT_K, along
+from benchmarks.challenge.recorder import used
+from benchmarks.challenge.wall import along
 
 FloatArray = NDArray[np.float64]
 
@@ -40,15 +42,18 @@ def hottest_K(case: Case) -> float:
     return float(np.max(case.at(STEP).temperatures()[:, 0]))
 
 
-def reshaped(table: Any, factor: Callable[[FloatArray], FloatArray], plus: FloatArray | float = 0.0) -> Any:
-    """A property on DENSE_K, times a function of temperature, plus a term."""
-    by = factor(DENSE_K)
+def reshaped(
+    table: Any,
+    factor: Callable[[FloatArray], FloatArray],
+    plus: FloatArray | float = 0.0,
+    at_K: FloatArray = DENSE_K,
+) -> Any:
+    """A property at some temperatures, times a function of temperature, plus a term."""
+    by = factor(at_K)
     if isinstance(table, Mapping):
-        columns = [
-            np.interp(DENSE_K, table["T_K"], column) * by + plus for column in np.array(table["k"], dtype=float).T
-        ]
-        return {"p_Pa": table["p_Pa"], "T_K": DENSE_K.tolist(), "k": np.array(columns).T.tolist()}
-    return np.column_stack((DENSE_K, along(table, DENSE_K) * by + plus)).tolist()
+        columns = [np.interp(at_K, table["T_K"], column) * by + plus for column in np.array(table["k"], dtype=float).T]
+        return {"p_Pa": table["p_Pa"], "T_K": at_K.tolist(), "k": np.array(columns).T.tolist()}
+    return np.column_stack((at_K, along(table, at_K) * by + plus)).tolist()
 
 
 def growing(factor: float, growth: float) -> Callable[[FloatArray], FloatArray]:
@@ -184,7 +189,8 @@ def _radiative(history: History, form: str, p: Parameters) -> Deviation:
 # Back and depth ------------------------------------------------------------------------------------------------------
 
 
-def _draw_backface(rng: Generator, case: Case, form: str) -> dict[str, Any]:
+def draw_backface(rng: Generator, case: Any, form: str) -> dict[str, Any]:
+    """What an insulated back loses heat to: its temperature, film coefficient and emissivity."""
     drawn = {"back_K": float(round(case.point.stack["initial_K"] + rng.uniform(-25.0, 5.0), 1))}
     if form != "radiation":
         drawn["back_h_W_m2K"] = float(rng.uniform(2.0, 15.0))
@@ -193,12 +199,14 @@ def _draw_backface(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return drawn
 
 
-def _backface(history: History, form: str, p: Parameters) -> Deviation:
+def backface(history: Any, form: str, p: Parameters) -> Deviation:
+    """A back that loses heat."""
     exponent = 0.25 if form == "free-convection" else 0.0
     return Deviation(back=(p.get("back_h_W_m2K", 0.0), p["back_K"], p.get("back_emissivity", 0.0), exponent))
 
 
-def _draw_gap(rng: Generator, case: Case, form: str) -> dict[str, Any]:
+def draw_gap(rng: Generator, case: Any, form: str) -> dict[str, Any]:
+    """Share of the convective flux that enters a gap, and how deep."""
     thick = case.point.stack["layer"][1]["thickness_m"]
     return {"gap_fraction": float(rng.uniform(0.002, 0.03)), "gap_depth_m": float(rng.uniform(0.15, 0.5) * thick)}
 
@@ -235,12 +243,17 @@ def _moisture(history: History, form: str, p: Parameters) -> Deviation:
     if form != "capacity":
         numbers = np.array([latent, boil, width, p["time_s"], p["condensing"]])
         return Deviation(water=(lambda z: p["water_kg_m3"] * ((z > outer) & (z < inner)), numbers))
-    T = np.unique(np.concatenate((DENSE_K, boil + width * np.linspace(-4.0, 4.0, 33))))
-    bell = np.exp(-0.5 * ((T - boil) / width) ** 2) / (width * np.sqrt(2.0 * np.pi))
+    return wet_capacity(p["water_kg_m3"], latent, boil, width, DENSE_K)
+
+
+def wet_capacity(water_kg_m3: float, latent_J_kg: float, boil_K: float, width_K: float, at_K: FloatArray) -> Deviation:
+    """The latent heat of water in the insulation as a bell of its specific heat about the boiling point."""
+    T = np.unique(np.concatenate((at_K, boil_K + width_K * np.linspace(-4.0, 4.0, 33))))
+    bell = np.exp(-0.5 * ((T - boil_K) / width_K) ** 2) / (width_K * np.sqrt(2.0 * np.pi))
 
     def apply(stack: dict[str, Any], materials: dict[str, Any]) -> None:
         wet = materials[stack["layer"][1]["material"]]
-        more = latent * p["water_kg_m3"] / wet["density_kg_m3"] * bell
+        more = latent_J_kg * water_kg_m3 / wet["density_kg_m3"] * bell
         wet["specific_heat_J_kgK"] = np.column_stack((T, along(wet["specific_heat_J_kgK"], T) + more)).tolist()
 
     return Deviation(walls=(apply,))
@@ -249,13 +262,14 @@ def _moisture(history: History, form: str, p: Parameters) -> Deviation:
 # Thermocouples -------------------------------------------------------------------------------------------------------
 
 
-def _sensor(rng: Generator, case: Case) -> dict[str, Any]:
+def draw_sensor(rng: Generator, case: Any) -> dict[str, Any]:
+    """One of the thermocouples that are fitted."""
     return {"sensor": case.point.sensors[int(rng.choice(used(case.point.sensors)))]["name"]}
 
 
-def place(history: History, p: Parameters) -> int:
+def sensor_number(case: Any, p: Parameters) -> int:
     """Number of the thermocouple that parameters name."""
-    return [s["name"] for s in history.case.point.sensors].index(p["sensor"])
+    return [s["name"] for s in case.point.sensors].index(p["sensor"])
 
 
 def on_sensor(number: int, change: Callable[[FloatArray, FloatArray], FloatArray]) -> Deviation:
@@ -270,7 +284,7 @@ def on_sensor(number: int, change: Callable[[FloatArray, FloatArray], FloatArray
 
 
 def _draw_bias(rng: Generator, case: Case, form: str) -> dict[str, Any]:
-    drawn = _sensor(rng, case)
+    drawn = draw_sensor(rng, case)
     if form != "gain":
         drawn["bias_K"] = float(sign(rng) * rng.uniform(3.0, 15.0))
     if form != "offset":
@@ -279,18 +293,25 @@ def _draw_bias(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 
 
 def _bias(history: History, form: str, p: Parameters) -> Deviation:
-    return on_sensor(place(history, p), lambda t, T: p.get("gain", 1.0) * T + p.get("bias_K", 0.0))
+    return biased(history.case, p)
+
+
+def biased(case: Any, p: Parameters) -> Deviation:
+    """A thermocouple of a case with an offset and a gain."""
+    return on_sensor(sensor_number(case, p), lambda t, T: p.get("gain", 1.0) * T + p.get("bias_K", 0.0))
 
 
 def _draw_lag(rng: Generator, case: Case, form: str) -> dict[str, Any]:
-    return _sensor(rng, case) | {"tau_s": float(rng.uniform(2.0, 12.0))}
+    return draw_sensor(rng, case) | {"tau_s": float(rng.uniform(2.0, 12.0))}
 
 
 def _lag(history: History, form: str, p: Parameters) -> Deviation:
     tau = p["tau_s"]
     if form == "second-order":
-        return on_sensor(place(history, p), lambda t, T: history.lagged(history.lagged(T, 0.5 * tau), 0.5 * tau))
-    return on_sensor(place(history, p), lambda t, T: history.lagged(T, tau))
+        return on_sensor(
+            sensor_number(history.case, p), lambda t, T: history.lagged(history.lagged(T, 0.5 * tau), 0.5 * tau)
+        )
+    return on_sensor(sensor_number(history.case, p), lambda t, T: history.lagged(T, tau))
 
 
 def _draw_skew(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -355,15 +376,15 @@ ON_WALL = (
     Family(
         "backface-cooling",
         ("film", "radiation", "free-convection", "both"),
-        _draw_backface,
-        _backface,
+        draw_backface,
+        backface,
         {"back_h_W_m2K": (0.0, 0.5, 60.0), "back_emissivity": (0.0, 0.05, 0.95)},
         points=(*IN_DEPTH, *FELTS),
     ),
     Family(
         "gap-flow",
         ("exponential", "box", "bell", "diverted"),
-        _draw_gap,
+        draw_gap,
         _gap,
         {"gap_fraction": (0.0, 2e-4, 0.15)},
         points=IN_DEPTH,

@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 
 from benchmarks.challenge import faults
 from benchmarks.challenge import recorder as recording
-from benchmarks.challenge.case import FINE_S, FORMATS, NOTHING, Case, make_case, used
+from benchmarks.challenge.case import FINE_S, FORMATS, Case, make_case
+from benchmarks.challenge.deviation import NOTHING
 from benchmarks.challenge.files import toml_text, write_csv
 from benchmarks.challenge.flight import draw_flight
-from benchmarks.challenge.form import Drawn, Family, Unsuitable, draw
+from benchmarks.challenge.form import VISIBLE, Drawn, Family, Unsuitable, draw
 from benchmarks.challenge.judge import Bench, accepted, count, finished, log_evidence, over_floor
 from benchmarks.challenge.lacking import LACKING
 from benchmarks.challenge.on_ratio import ON_RATIO
 from benchmarks.challenge.on_wall import ON_WALL
 from benchmarks.challenge.point import DERIVATIVES, OWN, POINTS, VARIABLES, draw_point, draw_ratio
-from benchmarks.challenge.recorder import Recorder, floor_K, within
+from benchmarks.challenge.recorder import Recorder, floor_K, used, within
 from benchmarks.challenge.world import World, draw_world
 
 FloatArray = NDArray[np.float64]
@@ -75,8 +76,6 @@ NOTHING_TRUE = ("null", "error")
 KINDS = ("wall", "flight", "sensor", "table")
 """Classes whose truth is reported as not an effect."""
 ATTEMPTS = 80
-VISIBLE = (2.2, 16.0)
-"""Residual of a deviation over the noise floor, where it acts, after a refit of scale and slopes."""
 LEAST = 1.9
 """Below it a deviation of the usual size is drawn again."""
 SMALL, SMALL_CHI2 = 0.12, (15.0, 80.0)

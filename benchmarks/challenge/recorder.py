@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -92,32 +92,45 @@ def sample_times(rng: Generator, recorder: Recorder) -> FloatArray:
     return np.maximum(recorder.time_s + recorder.jitter_s * rng.normal(size=len(recorder.time_s)), 0.0)
 
 
+def unit_noise(rng: Generator, recorder: Recorder) -> FloatArray:
+    """Unit variance: white, and a first-order Markov part."""
+    white, kicks = rng.normal(size=(2, len(recorder.time_s)))
+    return mixed(recorder, white, kicks)
+
+
+def mixed(recorder: Recorder, white: FloatArray, kicks: FloatArray) -> FloatArray:
+    """(sample,) noise of unit variance of two white ones: the second becomes the first-order Markov part."""
+    n = len(kicks)
+    if recorder.colour == 0.0:
+        return white
+    memory = float(np.exp(-(recorder.time_s[1] - recorder.time_s[0]) / recorder.colour_s))
+    slow = np.empty(n)
+    slow[0] = kicks[0]
+    for i in range(1, n):
+        slow[i] = memory * slow[i - 1] + np.sqrt(1.0 - memory**2) * kicks[i]
+    return np.sqrt(1.0 - recorder.colour) * white + np.sqrt(recorder.colour) * slow
+
+
 def measure(
-    rng: Generator, recorder: Recorder, sensors: Sequence[Mapping[str, Any]], indicated_K: FloatArray
+    rng: Generator,
+    recorder: Recorder,
+    sensors: Sequence[Mapping[str, Any]],
+    indicated_K: FloatArray,
+    noise: Callable[[Generator, Recorder], FloatArray] = unit_noise,
 ) -> FloatArray:
-    """(sample, sensor) recorded readings [K]; NaN is a lost sample."""
+    """(sample, sensor) recorded readings [K]; NaN is a lost sample.
+
+    noise : draws one of unit variance for each sensor
+    """
     t, read = recorder.time_s, np.empty_like(indicated_K)
     for i, sensor in enumerate(sensors):
-        noisy = indicated_K[:, i] + sensor["noise_sigma_K"] * _noise(rng, recorder)
+        noisy = indicated_K[:, i] + sensor["noise_sigma_K"] * noise(rng, recorder)
         if step := lsb_K(sensor):
             low, high = sensor["range_K"]
             noisy = low + np.rint((np.clip(noisy, low, high) - low) / step) * step
         lost = (rng.random(len(t)) < recorder.lost) | within(t, recorder.gaps_s)
         read[:, i] = np.where(lost, np.nan, np.round(noisy, 3))
     return read
-
-
-def _noise(rng: Generator, recorder: Recorder) -> FloatArray:
-    """Unit variance: white, and a first-order Markov part."""
-    n, kicks = len(recorder.time_s), rng.normal(size=(2, len(recorder.time_s)))
-    if recorder.colour == 0.0:
-        return kicks[0]
-    memory = float(np.exp(-(recorder.time_s[1] - recorder.time_s[0]) / recorder.colour_s))
-    slow = np.empty(n)
-    slow[0] = kicks[1, 0]
-    for i in range(1, n):
-        slow[i] = memory * slow[i - 1] + np.sqrt(1.0 - memory**2) * kicks[1, i]
-    return np.sqrt(1.0 - recorder.colour) * kicks[0] + np.sqrt(recorder.colour) * slow
 
 
 def draw_segments(
@@ -135,13 +148,19 @@ def draw_segments(
     for _ in range(int(rng.integers(1, 3))):
         start = float(rng.uniform(first + 0.25 * (end_s - first), first + 0.9 * (end_s - first)))
         held.append([start, min(start + float(rng.uniform(30.0, 80.0)), end_s - 2.0)])
-    merged: Windows = []
-    for start, end in sorted([round(a, 1), round(b, 1)] for a, b in held):
-        if merged and start <= merged[-1][1]:
-            merged[-1][1] = max(end, merged[-1][1])
+    rounded = [[round(a, 1), round(b, 1)] for a, b in held]
+    return {"fit": [[round(first, 1), round(end_s, 1)]], "holdout": merged(rounded)}
+
+
+def merged(windows: Sequence[Sequence[float]]) -> Windows:
+    """Windows in order, those that overlap as one."""
+    joined: Windows = []
+    for start, end in sorted(map(list, windows)):
+        if joined and start <= joined[-1][1]:
+            joined[-1][1] = max(end, joined[-1][1])
         else:
-            merged.append([start, end])
-    return {"fit": [[round(first, 1), round(end_s, 1)]], "holdout": merged}
+            joined.append([start, end])
+    return joined
 
 
 def within(t: FloatArray, windows: Sequence[Sequence[float]]) -> NDArray[np.bool_]:
@@ -150,3 +169,8 @@ def within(t: FloatArray, windows: Sequence[Sequence[float]]) -> NDArray[np.bool
     for start, end in windows:
         inside |= (t >= start) & (t <= end)
     return inside
+
+
+def used(sensors: Sequence[Mapping[str, Any]]) -> list[int]:
+    """Numbers of the thermocouples that are fitted."""
+    return [i for i, s in enumerate(sensors) if s.get("used", True)]

@@ -27,8 +27,6 @@ IntArray = NDArray[np.int64]
 SIGMA = 5.670374419e-8
 TABLE_K = np.arange(60.0, 2600.0, 4.0)
 """Nodes that all properties are tabulated on."""
-HOT_K = np.arange(100.0, 2601.0, 5.0)
-"""Wall temperatures at which a change of the heating with wall temperature is tabulated."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from benchmarks.challenge.case import COARSE_S, Case, Deviation, History
+from benchmarks.challenge.case import COARSE_S, Case, History
+from benchmarks.challenge.deviation import Deviation
 from benchmarks.challenge.judge import Bench
 
 FloatArray = NDArray[np.float64]

@@ -1,15 +1,16 @@
-"""A flight over a control point, and the readings of its thermocouples with the effects of nature."""
+"""A flight over a control point, and the readings of its thermocouples with the effects of deviation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.challenge.deviation import HOT_K, NOTHING, Deviation
 from benchmarks.generator.conduction import STEP_S, Forcing, build_wall, march, wall_enthalpy
 from benchmarks.generator.flight import Flight, draw_flight
 from benchmarks.generator.point import VARIABLES, Point, draw_point
@@ -27,36 +28,6 @@ FORMATS = {
     "axial_accel_g": ".4f",
 }  # fmt: skip
 """Digits of conditions.csv; the truth is heated with the numbers in the file."""
-
-
-@dataclass
-class Nature:
-    """How the truth differs from the declared model with the right scale and slopes.
-
-    add, multiply : (time,) to the heating ratio, in this order
-    eps_factor    : (time,) on the emissivity
-    hot           : wall temperatures [K], relative rise of the ratio there, (time,) share of it that acts
-    stack, materials, back : in place of the declared ones; `back` as in build_wall
-    deposit       : weights of a depth [m], share of the convective flux, share of it taken from the surface
-    water         : content [kg/m3] of a depth [m]; then latent heat, boiling and width [K], time [s], condensing share
-    indicated     : sensor -> (bias [K], gain)
-    skew_s        : (time,) by which the thermocouple clock lags
-    """
-
-    add: FloatArray | float = 0.0
-    multiply: FloatArray | float = 1.0
-    eps_factor: FloatArray | float = 1.0
-    hot: tuple[FloatArray, FloatArray, FloatArray] | None = None
-    stack: Mapping[str, Any] | None = None
-    materials: Mapping[str, Any] | None = None
-    back: Sequence[float] | None = None
-    deposit: tuple[Any, float, float] | None = None
-    water: tuple[Any, FloatArray] | None = None
-    indicated: dict[int, tuple[float, float]] = field(default_factory=dict)
-    skew_s: FloatArray | float = 0.0
-
-
-NOTHING = Nature()
 
 
 @dataclass(frozen=True)
@@ -92,35 +63,35 @@ class Case:
         """Mean declared ratio while it is hot."""
         return float(np.mean(self.point.ratio.declared(self.x)[self.hot]))
 
-    def ratio(self, nature: Nature, scale: float, d: FloatArray) -> FloatArray:
+    def ratio(self, deviation: Deviation, scale: float, d: FloatArray) -> FloatArray:
         """(time,) the true heating ratio."""
-        return (self.point.ratio.true(self.x, scale, d) + nature.add) * nature.multiply
+        return (self.point.ratio.true(self.x, scale, d) + deviation.add) * deviation.multiply
 
     def temperatures(
-        self, nature: Nature = NOTHING, scale: float | None = None, d: FloatArray | None = None, refine: float = 1.0
+        self,
+        deviation: Deviation = NOTHING,
+        scale: float | None = None,
+        d: FloatArray | None = None,
+        refine: float = 1.0,
     ) -> FloatArray:
         """(time, surface | sensors) temperatures [K] without sensor errors; the true scale and slopes unless given."""
         ratio = self.point.ratio
-        r = self.ratio(nature, ratio.scale if scale is None else scale, ratio.d if d is None else d)
-        stack = nature.stack or self.point.stack
+        r = self.ratio(deviation, ratio.scale if scale is None else scale, ratio.d if d is None else d)
+        stack, materials = deviation.of_wall(self.point.stack, self.point.materials)
         thicker = stack["layer"][0]["thickness_m"] - self.point.stack["layer"][0]["thickness_m"]
         depths = [depth + thicker for depth in self.point.depths_m]
-        wall = build_wall(stack, nature.materials or self.point.materials, depths, nature.back, refine)
+        wall = build_wall(stack, materials, depths, deviation.back, refine)
         centres, dx = wall.centres_m, wall.dx_m
-        n, still = len(self.time_s), np.zeros(len(self.time_s))
-        weights, share, diverted = nature.deposit or (lambda z: 0.0 * z, 0.0, 0.0)
+        n = len(self.time_s)
+        weights, share, diverted = deviation.deposit or (lambda z: 0.0 * z, 0.0, 0.0)
         deposit = weights(centres) * dx
-        content, moisture = nature.water or (lambda z: 0.0 * z, np.array([0.0, 0.0, 1.0, 1.0, 0.0]))
-        hot_T, hot, hot_share = nature.hot or (np.array([0.0, 1.0]), np.zeros(2), still)
+        content, moisture = deviation.water or (lambda z: 0.0 * z, np.array([0.0, 0.0, 1.0, 1.0, 0.0]))
         forcing = Forcing(
             film=r * self.fine["h_ref_kg_m2_s"],
             H_r=self.fine["H_r_J_kg"],
             p=self.fine["p_surface_Pa"],
-            q_add=still,
-            eps_factor=np.broadcast_to(np.asarray(nature.eps_factor, dtype=float), n).copy(),
-            hot_T=hot_T,
-            hot=hot,
-            hot_share=hot_share,
+            eps_factor=np.broadcast_to(np.asarray(deviation.eps_factor, dtype=float), n).copy(),
+            hot=np.broadcast_to(np.asarray(deviation.hot, dtype=float), len(HOT_K)).copy(),
             deposit=deposit / max(float(np.sum(deposit)), 1e-30),
             deposited=share,
             diverted=diverted,
@@ -130,13 +101,15 @@ class Case:
         faces = [wall.face(depth) for depth in depths]
         return march(wall, forcing, self.H_w, self.point.stack["initial_K"], faces)
 
-    def indicated(self, at_s: FloatArray, nature: Nature = NOTHING, **errors: Any) -> FloatArray:
+    def indicated(self, at_s: FloatArray, deviation: Deviation = NOTHING, **errors: Any) -> FloatArray:
         """(sample, sensor) readings [K] before noise: clock, bias and gain applied."""
-        T = self.temperatures(nature, **errors)[:, 1:]
-        skew = np.interp(at_s, self.time_s, np.broadcast_to(np.asarray(nature.skew_s, dtype=float), len(self.time_s)))
+        T = self.temperatures(deviation, **errors)[:, 1:]
+        skew = np.interp(
+            at_s, self.time_s, np.broadcast_to(np.asarray(deviation.skew_s, dtype=float), len(self.time_s))
+        )
         read = np.column_stack([np.interp(at_s - skew, self.time_s, T[:, i]) for i in range(T.shape[1])])
-        for sensor, (bias, gain) in nature.indicated.items():
-            read[:, sensor] = gain * read[:, sensor] + bias
+        for change in deviation.read:
+            read = change(at_s, read)
         return read
 
 

@@ -2,7 +2,7 @@
 
     rho c dT/dt = d/dx (k(T, p) dT/dx) + s,     separate cells on either side of every interface and sensor
     (3 T_n+1 - 4 T_n + T_n-1) / (2 dt),         properties at 2 T_n - T_n-1, so that a step is one elimination
-    r h_ref (H_r - H_w) + q_add = eps sigma (T_w^4 - T_sur^4) + 2 k_0 / dx_0 (T_w - T_0),   Newton on T_w alone
+    r h_ref (H_r - H_w) = eps sigma (T_w^4 - T_sur^4) + 2 k_0 / dx_0 (T_w - T_0),   Newton on T_w alone
 
 Source: section 1 of the record's format for the balance; Gear (1971) for the differences.
 """
@@ -18,6 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from benchmarks.challenge.deviation import HOT_K
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
 
 FloatArray = NDArray[np.float64]
@@ -91,9 +92,9 @@ class Wall:
 class Forcing:
     """Boundary conditions of a wall, on the steps of the march, and the sources of an effect in depth.
 
-    film, H_r, p, q_add     : (time,) r h_ref, recovery enthalpy, surface pressure, added flux
+    film, H_r, p            : (time,) r h_ref, recovery enthalpy, surface pressure
     eps_factor              : (time,) on the declared emissivity
-    hot_T, hot, hot_share   : the ratio times 1 + hot_share(t) hot(T_w), tabulated
+    hot                     : the ratio times 1 + hot(T_w), tabulated on HOT_K
     deposit, deposited      : (cell,) share of the deposited flux [1]; share of the convective flux that is deposited
     diverted                : share of the deposit that the surface does not receive
     water, moisture         : (cell,) [kg/m3]; latent heat [J/kg], boiling and width [K], time [s], condensing share
@@ -102,11 +103,8 @@ class Forcing:
     film: FloatArray
     H_r: FloatArray
     p: FloatArray
-    q_add: FloatArray
     eps_factor: FloatArray
-    hot_T: FloatArray
     hot: FloatArray
-    hot_share: FloatArray
     deposit: FloatArray
     deposited: float
     diverted: float
@@ -231,7 +229,7 @@ def march(
     _march(
         dt, T, wall.dx_m, wall.layer, wall.contact, wall.rho, wall.c_T, wall.c, wall.k_T, wall.k_log_p, wall.k,
         wall.eps_T, wall.eps, wall.back, wall.surroundings_K, H_w, forcing.film, forcing.H_r, forcing.p,
-        forcing.q_add, forcing.eps_factor, forcing.hot_T, forcing.hot, forcing.hot_share, forcing.deposit,
+        forcing.eps_factor, HOT_K, forcing.hot, forcing.deposit,
         forcing.deposited, forcing.diverted, forcing.water.copy(), forcing.moisture,
         np.array(faces, dtype=np.int64), out,
     )  # fmt: skip
@@ -266,9 +264,7 @@ def _enthalpy_at(H_w, log_p, T):
 
 
 @njit(cache=True, error_model="numpy")
-def _wall_temperature(
-    guess, film, H_r, q_add, log_p, H_w, eps_T, eps, eps_factor, T_sur, hot_T, hot, hot_share, G, T_in
-):
+def _wall_temperature(guess, film, H_r, log_p, H_w, eps_T, eps, eps_factor, T_sur, hot_T, hot, G, T_in):
     """T_w that closes the balance with conduction G (T_w - T_in) inward."""
     T = guess
     for _ in range(30):
@@ -276,10 +272,10 @@ def _wall_temperature(
         e, _i = _line(eps_T, eps, T, 0)
         rise, _i = _line(hot_T, hot, T, 0)
         ahead, _i = _line(hot_T, hot, T + 0.01, 0)
-        f = film * (1.0 + hot_share * rise)
-        df = film * hot_share * (ahead - rise) / 0.01
+        f = film * (1.0 + rise)
+        df = film * (ahead - rise) / 0.01
         e *= eps_factor
-        excess = f * (H_r - H) + q_add - e * SIGMA * (T**4 - T_sur**4) - G * (T - T_in)
+        excess = f * (H_r - H) - e * SIGMA * (T**4 - T_sur**4) - G * (T - T_in)
         slope = df * (H_r - H) - f * dH - 4.0 * e * SIGMA * T**3 - G
         change = -excess / min(slope, -0.1 * G)
         T += change
@@ -308,7 +304,7 @@ def _moisture_sources(T, dx, dt, water, moisture, source):
 @njit(cache=True, error_model="numpy")
 def _march(
     dt, T, dx, layer, contact, rho, c_T, c_table, k_T, k_log_p, k_table, eps_T, eps, back, T_sur, H_w,
-    film, H_r, p, q_add, eps_factor, hot_T, hot, hot_share, deposit, deposited, diverted, water, moisture, faces, out,
+    film, H_r, p, eps_factor, hot_T, hot, deposit, deposited, diverted, water, moisture, faces, out,
 ):  # fmt: skip
     n, layers = len(T), len(rho)
     before, ahead = T.copy(), T.copy()
@@ -365,8 +361,8 @@ def _march(
         G = 2.0 * k[0] / dx[0]
         T_w_before = T_w
         T_w = _wall_temperature(
-            guess, film[step] * (1.0 - deposited * diverted), H_r[step], q_add[step], log_p, H_w, eps_T, eps,
-            eps_factor[step], T_sur, hot_T, hot, hot_share[step], G * (1.0 - b[0]), a[0] / (1.0 - b[0]),
+            guess, film[step] * (1.0 - deposited * diverted), H_r[step], log_p, H_w, eps_T, eps,
+            eps_factor[step], T_sur, hot_T, hot, G * (1.0 - b[0]), a[0] / (1.0 - b[0]),
         )  # fmt: skip
         outer = T_w
         for i in range(n):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from benchmarks.generator.case import NOTHING
-from benchmarks.generator.family import Family
+from benchmarks.challenge.deviation import NOTHING
+from benchmarks.challenge.form import Family
 from benchmarks.generator.on_ratio import ON_RATIO
 from benchmarks.generator.on_wall import ON_WALL
 

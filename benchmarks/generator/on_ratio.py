@@ -14,7 +14,6 @@ Several forms each; the first is the one of the record format's table. x is the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -23,13 +22,12 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 from scipy.special import expit, ndtr
 
-from benchmarks.generator.case import STEP_S, Case, Nature
-from benchmarks.generator.family import Family, Unsuitable
+from benchmarks.challenge.deviation import Deviation
+from benchmarks.challenge.form import Family, Generator, Parameters, Unsuitable, sign
+from benchmarks.generator.case import STEP_S, Case
 from benchmarks.generator.point import VARIABLES
 
 FloatArray = NDArray[np.float64]
-Generator = np.random.Generator
-Parameters = Mapping[str, Any]
 
 ALPHA, BETA, LOG_RE, ELEVON, FLAP = range(5)
 ALPHA_0 = 40.0
@@ -53,11 +51,6 @@ def noise(case: Case, seed: int, correlation_s: float) -> FloatArray:
     return np.asarray(raw / np.std(raw))
 
 
-def sign(rng: Generator) -> float:
-    """-1 or 1."""
-    return float(rng.choice([-1.0, 1.0]))
-
-
 # Transition ----------------------------------------------------------------------------------------------------------
 
 
@@ -76,7 +69,7 @@ def _draw_transition(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return drawn
 
 
-def _transition(case: Case, form: str, p: Parameters) -> Nature:
+def _transition(case: Case, form: str, p: Parameters) -> Deviation:
     past = case.x[LOG_RE] - p["log10_re_onset"] + p["alpha_sens"] * (case.x[ALPHA] - ALPHA_0)
     if form == "sharp":
         turbulent = (past > 0.0).astype(float)
@@ -86,7 +79,7 @@ def _transition(case: Case, form: str, p: Parameters) -> Nature:
         turbulent = (expit(past / p["width"]) > ndtr(noise(case, p["seed"], p["burst_s"]))).astype(float)
     else:
         turbulent = expit(past / p["width"])
-    return Nature(multiply=1.0 + (p["factor"] - 1.0) * turbulent)
+    return Deviation(multiply=1.0 + (p["factor"] - 1.0) * turbulent)
 
 
 # Angle of attack, deflections, sideslip -----------------------------------------------------------------------------
@@ -102,7 +95,7 @@ def _draw_impingement(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return drawn if form == "ramp" else drawn | {"blend_deg": float(rng.uniform(0.3, 1.0))}
 
 
-def _impingement(case: Case, form: str, p: Parameters) -> Nature:
+def _impingement(case: Case, form: str, p: Parameters) -> Deviation:
     past = case.x[ALPHA] - p["alpha_onset_deg"]
     w = p.get("blend_deg", 0.0)
     if form == "soft":
@@ -113,7 +106,7 @@ def _impingement(case: Case, form: str, p: Parameters) -> Nature:
         rise = np.maximum(past, 0.0) ** 2 / (np.maximum(past, 0.0) + w)
     else:
         rise = np.maximum(past, 0.0)
-    return Nature(add=p["slope"] * rise)
+    return Deviation(add=p["slope"] * rise)
 
 
 def _curvature(name: str, variable: int, manoeuvre: str, kinds: tuple[str, ...]) -> Family:
@@ -126,15 +119,15 @@ def _curvature(name: str, variable: int, manoeuvre: str, kinds: tuple[str, ...])
         drawn = {key: float(sign(rng) * case.r_0 * rng.uniform(0.002, 0.01))}
         return drawn if form == "quadratic" else drawn | {"scale_deg": float(rng.uniform(6.0, 15.0))}
 
-    def nature(case: Case, form: str, p: Parameters) -> Nature:
+    def act(case: Case, form: str, p: Parameters) -> Deviation:
         x, s = departure(case, variable), p.get("scale_deg", 0.0)
         if form == "cosh":
-            return Nature(add=p[key] * 2.0 * s * s * (np.cosh(np.clip(x / s, -1.5, 1.5)) - 1.0))
+            return Deviation(add=p[key] * 2.0 * s * s * (np.cosh(np.clip(x / s, -1.5, 1.5)) - 1.0))
         if form == "skewed":
-            return Nature(add=p[key] * x * x * (1.0 + 0.25 * np.tanh(x / s)))
-        return Nature(add=p[key] * x * x)
+            return Deviation(add=p[key] * x * x * (1.0 + 0.25 * np.tanh(x / s)))
+        return Deviation(add=p[key] * x * x)
 
-    return Family(name, ("quadratic", "cosh", "skewed"), draw, nature, {key: (0.0, -0.05, 0.05)}, (manoeuvre,), kinds)
+    return Family(name, ("quadratic", "cosh", "skewed"), draw, act, {key: (0.0, -0.05, 0.05)}, (manoeuvre,), kinds)
 
 
 PRODUCTS = {"d_alpha_elevon": (ALPHA, ELEVON), "d_alpha_bodyflap": (ALPHA, FLAP), "d_elevon_bodyflap": (ELEVON, FLAP)}
@@ -146,13 +139,13 @@ def _draw_interaction(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return drawn if form == "product" else drawn | {"scale_deg2": float(rng.uniform(25.0, 60.0))}
 
 
-def _interaction(case: Case, form: str, p: Parameters) -> Nature:
+def _interaction(case: Case, form: str, p: Parameters) -> Deviation:
     key = next(k for k in PRODUCTS if k in p)
     first, second = (departure(case, v) for v in PRODUCTS[key])
     product = first * second
     if form == "saturating":
         product = p["scale_deg2"] * np.tanh(product / p["scale_deg2"])
-    return Nature(add=p[key] * product)
+    return Deviation(add=p[key] * product)
 
 
 def _draw_sideslip(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -162,12 +155,12 @@ def _draw_sideslip(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return drawn | ({"round_deg": float(rng.uniform(0.3, 1.0))} if form == "rounded" else {})
 
 
-def _sideslip(case: Case, form: str, p: Parameters) -> Nature:
+def _sideslip(case: Case, form: str, p: Parameters) -> Deviation:
     beta = case.x[BETA]
     if form == "quadratic":
-        return Nature(add=p["d_beta2"] * beta * beta)
+        return Deviation(add=p["d_beta2"] * beta * beta)
     w = p.get("round_deg", 0.0)
-    return Nature(add=p["slope_abs_beta"] * (np.hypot(beta, w) - w))
+    return Deviation(add=p["slope_abs_beta"] * (np.hypot(beta, w) - w))
 
 
 # Lags, jets, and what is in no library --------------------------------------------------------------------------------
@@ -183,7 +176,7 @@ def _draw_nonisothermal(rng: Generator, case: Case, form: str) -> dict[str, Any]
     }
 
 
-def _nonisothermal(case: Case, form: str, p: Parameters) -> Nature:
+def _nonisothermal(case: Case, form: str, p: Parameters) -> Deviation:
     r = case.point.ratio.true(case.x, case.point.ratio.scale, case.point.ratio.d)
     if form == "second-order":
         behind = lagged(lagged(r, 0.5 * p["lag_s"]), 0.5 * p["lag_s"])
@@ -193,7 +186,7 @@ def _nonisothermal(case: Case, form: str, p: Parameters) -> Nature:
         behind = lagged(r, p["lag_s"])
     since = np.maximum(case.time_s - p["start_s"], 0.0) / p["decay_s"]
     decay = 1.0 / (1.0 + since) ** 2 if form == "second-order" else np.exp(-since)
-    return Nature(add=p["lag_fraction"] * (behind - r), multiply=1.0 + p["overshoot"] * decay)
+    return Deviation(add=p["lag_fraction"] * (behind - r), multiply=1.0 + p["overshoot"] * decay)
 
 
 def _draw_jets(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -203,13 +196,13 @@ def _draw_jets(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return drawn | ({"tail_s": float(rng.uniform(1.5, 5.0))} if form == "tail" else {})
 
 
-def _jets(case: Case, form: str, p: Parameters) -> Nature:
+def _jets(case: Case, form: str, p: Parameters) -> Deviation:
     jets = case.fine["jets"]
     if form == "tail":
-        return Nature(multiply=1.0 + p["jet_gain"] * np.maximum(jets, lagged(jets, p["tail_s"])))
+        return Deviation(multiply=1.0 + p["jet_gain"] * np.maximum(jets, lagged(jets, p["tail_s"])))
     if form == "derived-density":  # recorded density too high by 1 + gain: film coefficient too high by its root
-        return Nature(multiply=1.0 / np.sqrt(1.0 + p["jet_gain"] * jets))
-    return Nature(multiply=1.0 + p["jet_gain"] * jets)
+        return Deviation(multiply=1.0 / np.sqrt(1.0 + p["jet_gain"] * jets))
+    return Deviation(multiply=1.0 + p["jet_gain"] * jets)
 
 
 def _draw_unknown(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -219,7 +212,7 @@ def _draw_unknown(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return drawn | {"seed": int(rng.integers(1, 10**6)), "correlation_s": float(rng.uniform(8.0, 30.0))}
 
 
-def _unknown(case: Case, form: str, p: Parameters) -> Nature:
+def _unknown(case: Case, form: str, p: Parameters) -> Deviation:
     t, size = case.time_s, p["amplitude"]
     if form == "sine":
         shape = np.sin(2.0 * np.pi * t / p["period_s"] + p["phase"])
@@ -229,7 +222,7 @@ def _unknown(case: Case, form: str, p: Parameters) -> Nature:
         shape = 2.0 * np.maximum(noise(case, p["seed"], p["correlation_s"]) - 0.8, 0.0)
     else:
         shape = noise(case, p["seed"], p["correlation_s"])
-    return Nature(multiply=np.maximum(1.0 + size * shape, 0.05))
+    return Deviation(multiply=np.maximum(1.0 + size * shape, 0.05))
 
 
 WINDWARD = ("lower", "elevon", "flap")
@@ -237,7 +230,7 @@ WINDWARD = ("lower", "elevon", "flap")
 ON_RATIO = (
     Family(
         "transition", ("logistic", "sharp", "dhawan-narasimha", "intermittent"), _draw_transition, _transition,
-        {"factor": (1.0, 1.6, 5.0)}, kinds=(*WINDWARD, "standoff"),
+        {"factor": (1.0, 1.6, 5.0)}, points=(*WINDWARD, "standoff"),
         residual=(8.0, 60.0),
     ),
     Family(

@@ -15,24 +15,32 @@ time-skew            constant | drifting clock
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from copy import deepcopy
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from benchmarks.generator.case import Case, Nature
-from benchmarks.generator.family import Family, Unsuitable
-from benchmarks.generator.on_ratio import WINDWARD, sign
+from benchmarks.challenge.deviation import HOT_K, Deviation
+from benchmarks.challenge.form import Family, Generator, Parameters, Unsuitable, sign
+from benchmarks.challenge.on_wall import (
+    backface,
+    biased,
+    change_of,
+    draw_backface,
+    draw_gap,
+    draw_sensor,
+    reshaped,
+    wet_capacity,
+)
+from benchmarks.challenge.wall import along
+from benchmarks.generator.case import Case
+from benchmarks.generator.on_ratio import WINDWARD
 from benchmarks.generator.point import scaled
 
 FloatArray = NDArray[np.float64]
-Generator = np.random.Generator
-Parameters = Mapping[str, Any]
 
-DENSE_K = [float(T) for T in range(200, 2401, 40)]
+DENSE_K = np.arange(200.0, 2401.0, 40.0)
 """Where a property that is changed with temperature is tabulated."""
 
 TILES = ("lower", "elevon", "flap")
@@ -59,14 +67,13 @@ def _draw_catalysis(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return {"catalysis_step": step, "catalysis_K": float(middle), "catalysis_width_K": float(rng.uniform(20.0, 120.0))}
 
 
-def _catalysis(case: Case, form: str, p: Parameters) -> Nature:
+def _catalysis(case: Case, form: str, p: Parameters) -> Deviation:
     step = p["catalysis_step"]
     if form == "enthalpy":
-        return Nature(multiply=1.0 + step * expit((case.fine["H_r_J_kg"] - p["enthalpy_J_kg"]) / p["width_J_kg"]))
-    T = np.arange(200.0, 2501.0, 5.0)
-    past = (T - p["catalysis_K"]) / p["catalysis_width_K"]
+        return Deviation(multiply=1.0 + step * expit((case.fine["H_r_J_kg"] - p["enthalpy_J_kg"]) / p["width_J_kg"]))
+    past = (HOT_K - p["catalysis_K"]) / p["catalysis_width_K"]
     rise = np.clip(0.5 + past / 4.0, 0.0, 1.0) if form == "ramp" else expit(past)
-    return Nature(hot=(T, step * rise, np.ones(len(case.time_s))))
+    return Deviation(hot=step * rise)
 
 
 def _draw_emissivity(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -80,18 +87,18 @@ def _draw_emissivity(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return drawn | ({"ramp_s": float(rng.uniform(20.0, 150.0))} if form == "ramp" else {})
 
 
-def _emissivity(case: Case, form: str, p: Parameters) -> Nature:
+def _emissivity(case: Case, form: str, p: Parameters) -> Deviation:
     if form == "slope":
-        outer = case.point.stack["layer"][0]["material"]
-        declared = np.array(case.point.materials[outer]["emissivity"])
-        value = np.interp(DENSE_K, *declared.T) * (1.0 + p["emissivity_slope"] * (np.array(DENSE_K) - 900.0))
-        materials = deepcopy(case.point.materials)
-        materials[outer]["emissivity"] = [[T, float(v)] for T, v in zip(DENSE_K, np.clip(value, 0.1, 1.0), strict=True)]
-        return Nature(materials=materials)
+
+        def sloped(declared: Any) -> Any:
+            value = along(declared, DENSE_K) * (1.0 + p["emissivity_slope"] * (DENSE_K - 900.0))
+            return np.column_stack((DENSE_K, np.clip(value, 0.1, 1.0))).tolist()
+
+        return change_of(0, "emissivity", sloped)
     since = np.ones(len(case.time_s))
     if form != "constant":
         since = np.clip((case.time_s - p["change_s"]) / p.get("ramp_s", 0.1), 0.0, 1.0)
-    return Nature(eps_factor=1.0 + (p["emissivity_factor"] - 1.0) * since)
+    return Deviation(eps_factor=1.0 + (p["emissivity_factor"] - 1.0) * since)
 
 
 # Properties ----------------------------------------------------------------------------------------------------------
@@ -102,14 +109,16 @@ def _draw_coating(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return {"coating_factor": float(thin if rng.random() < 0.5 else thick)}
 
 
-def _coating(case: Case, form: str, p: Parameters) -> Nature:
-    stack, materials = deepcopy(case.point.stack), deepcopy(case.point.materials)
-    outer = stack["layer"][0]
-    outer["thickness_m"] *= p["coating_factor"]
-    if form == "poor-conductor":
-        glass = materials[outer["material"]]
-        glass["conductivity_W_mK"] = scaled(glass["conductivity_W_mK"], 0.85)
-    return Nature(stack=stack, materials=materials)
+def _coating(case: Case, form: str, p: Parameters) -> Deviation:
+
+    def apply(stack: dict[str, Any], materials: dict[str, Any]) -> None:
+        outer = stack["layer"][0]
+        outer["thickness_m"] *= p["coating_factor"]
+        if form == "poor-conductor":
+            glass = materials[outer["material"]]
+            glass["conductivity_W_mK"] = scaled(glass["conductivity_W_mK"], 0.85)
+
+    return Deviation(walls=(apply,))
 
 
 def _draw_factor(key: str, low: tuple[float, float], high: tuple[float, float]) -> Any:
@@ -121,46 +130,31 @@ def _draw_factor(key: str, low: tuple[float, float], high: tuple[float, float]) 
     return draw
 
 
-def _by_temperature(table: Any, factor: float, growth: float) -> Any:
-    """A property table times factor, the departure from one being `growth` larger at 1500 K than at 300 K."""
+def _changed(layer: int, key: str, factor: float, growth: float) -> Deviation:
+    """A property times factor, the departure from one being `growth` larger at 1500 K than at 300 K."""
 
-    def at(T: float) -> float:
+    def at(T: FloatArray) -> FloatArray:
         return 1.0 + (factor - 1.0) * (1.0 + growth * ((T - 300.0) / 1200.0 - 0.5))
 
-    if isinstance(table, Mapping):
-        rows = np.array([np.interp(DENSE_K, table["T_K"], column) for column in np.array(table["k"]).T]).T
-        return {
-            **table,
-            "T_K": DENSE_K,
-            "k": [[float(v * at(T)) for v in row] for T, row in zip(DENSE_K, rows, strict=True)],
-        }
-    values = np.interp(DENSE_K, *np.array(table).T)
-    return [[T, float(v * at(T))] for T, v in zip(DENSE_K, values, strict=True)]
+    return change_of(layer, key, lambda table: reshaped(table, at, at_K=DENSE_K))
 
 
-def _changed(case: Case, layer: int, key: str, factor: float, growth: float) -> Nature:
-    materials = deepcopy(case.point.materials)
-    material = materials[case.point.stack["layer"][layer]["material"]]
-    material[key] = _by_temperature(material[key], factor, growth)
-    return Nature(materials=materials)
+def _conductivity(case: Case, form: str, p: Parameters) -> Deviation:
+    return _changed(1, "conductivity_W_mK", p["conductivity_factor"], p.get("growth", 0.0))
 
 
-def _conductivity(case: Case, form: str, p: Parameters) -> Nature:
-    return _changed(case, 1, "conductivity_W_mK", p["conductivity_factor"], p.get("growth", 0.0))
-
-
-def _heat_capacity(case: Case, form: str, p: Parameters) -> Nature:
+def _heat_capacity(case: Case, form: str, p: Parameters) -> Deviation:
     if form == "coating":
-        return _changed(case, 0, "specific_heat_J_kgK", p["coating_heat_capacity_factor"], 0.0)
-    return _changed(case, 1, "specific_heat_J_kgK", p["heat_capacity_factor"], p.get("growth", 0.0))
+        return _changed(0, "specific_heat_J_kgK", p["coating_heat_capacity_factor"], 0.0)
+    return _changed(1, "specific_heat_J_kgK", p["heat_capacity_factor"], p.get("growth", 0.0))
 
 
 def _draw_radiative(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return {"k_rad": float(rng.uniform(0.01, 0.08))}
 
 
-def _radiative(case: Case, form: str, p: Parameters) -> Nature:
-    T = np.array(DENSE_K) / 1000.0
+def _radiative(case: Case, form: str, p: Parameters) -> Deviation:
+    T = DENSE_K / 1000.0
     forms = {
         "cubic": T**3,
         "quartic": T**4,
@@ -168,14 +162,7 @@ def _radiative(case: Case, form: str, p: Parameters) -> Nature:
         "linear-above": np.maximum(T - 0.6, 0.0) / 0.4,
     }
     more = p["k_rad"] * forms[form]
-    materials = deepcopy(case.point.materials)
-    felt = materials[case.point.stack["layer"][1]["material"]]
-    dense = _by_temperature(felt["conductivity_W_mK"], 1.0, 0.0)
-    if isinstance(dense, Mapping):
-        felt["conductivity_W_mK"] = {**dense, "k": (np.array(dense["k"]) + more[:, np.newaxis]).tolist()}
-    else:
-        felt["conductivity_W_mK"] = [[t, k + float(m)] for (t, k), m in zip(dense, more, strict=True)]
-    return Nature(materials=materials)
+    return change_of(1, "conductivity_W_mK", lambda k: reshaped(k, np.ones_like, more, DENSE_K))
 
 
 # Back and depth ------------------------------------------------------------------------------------------------------
@@ -184,25 +171,10 @@ def _radiative(case: Case, form: str, p: Parameters) -> Nature:
 def _draw_backface(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     if case.point.stack["back"] != "adiabatic":
         raise Unsuitable
-    drawn = {"back_K": float(round(case.point.stack["initial_K"] + rng.uniform(-25.0, 5.0), 1))}
-    if form != "radiation":
-        drawn["back_h_W_m2K"] = float(rng.uniform(2.0, 15.0))
-    if form in ("radiation", "both"):
-        drawn["back_emissivity"] = float(rng.uniform(0.3, 0.9))
-    return drawn
+    return draw_backface(rng, case, form)
 
 
-def _backface(case: Case, form: str, p: Parameters) -> Nature:
-    exponent = 0.25 if form == "free-convection" else 0.0
-    return Nature(back=[p.get("back_h_W_m2K", 0.0), p["back_K"], p.get("back_emissivity", 0.0), exponent])
-
-
-def _draw_gap(rng: Generator, case: Case, form: str) -> dict[str, Any]:
-    thick = case.point.stack["layer"][1]["thickness_m"]
-    return {"gap_fraction": float(rng.uniform(0.002, 0.03)), "gap_depth_m": float(rng.uniform(0.15, 0.5) * thick)}
-
-
-def _gap(case: Case, form: str, p: Parameters) -> Nature:
+def _gap(case: Case, form: str, p: Parameters) -> Deviation:
     layers, depth = case.point.stack["layer"], p["gap_depth_m"]
     inner = layers[0]["thickness_m"] + layers[1]["thickness_m"]
 
@@ -214,7 +186,7 @@ def _gap(case: Case, form: str, p: Parameters) -> Nature:
             return np.asarray(inside * np.exp(-0.5 * ((z - depth) / (0.4 * depth)) ** 2))
         return np.asarray(inside * np.exp(-z / depth))
 
-    return Nature(deposit=(weights, p["gap_fraction"], 1.0 if form == "diverted" else 0.0))
+    return Deviation(deposit=(weights, p["gap_fraction"], 1.0 if form == "diverted" else 0.0))
 
 
 def _draw_moisture(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -229,28 +201,20 @@ def _draw_moisture(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return drawn | ({"condensing": float(rng.uniform(0.2, 0.6))} if form == "migrating" else {})
 
 
-def _moisture(case: Case, form: str, p: Parameters) -> Nature:
+def _moisture(case: Case, form: str, p: Parameters) -> Deviation:
     layers = case.point.stack["layer"]
     outer, inner = layers[0]["thickness_m"], layers[0]["thickness_m"] + layers[1]["thickness_m"]
     if form == "capacity":
-        materials = deepcopy(case.point.materials)
-        felt = materials[layers[1]["material"]]
-        T = np.unique(np.concatenate((DENSE_K, np.linspace(-4.0, 4.0, 33) * p["width_K"] + p["boil_K"])))
-        bell = np.exp(-0.5 * ((T - p["boil_K"]) / p["width_K"]) ** 2) / (p["width_K"] * np.sqrt(2.0 * np.pi))
-        c = np.interp(T, *np.array(felt["specific_heat_J_kgK"]).T)
-        c += p["latent_J_kg"] * p["water_kg_m3"] / felt["density_kg_m3"] * bell
-        felt["specific_heat_J_kgK"] = np.column_stack((T, c)).tolist()
-        return Nature(materials=materials)
+        return wet_capacity(p["water_kg_m3"], p["latent_J_kg"], p["boil_K"], p["width_K"], DENSE_K)
     numbers = np.array([p["latent_J_kg"], p["boil_K"], p["width_K"], p["time_s"], p.get("condensing", 0.0)])
-    return Nature(water=(lambda z: p["water_kg_m3"] * ((z > outer) & (z < inner)), numbers))
+    return Deviation(water=(lambda z: p["water_kg_m3"] * ((z > outer) & (z < inner)), numbers))
 
 
 # Thermocouples -------------------------------------------------------------------------------------------------------
 
 
 def _draw_bias(rng: Generator, case: Case, form: str) -> dict[str, Any]:
-    used = [i for i, s in enumerate(case.point.sensors) if s["used"]]
-    drawn: dict[str, Any] = {"sensor": case.point.sensors[int(rng.choice(used))]["name"]}
+    drawn = draw_sensor(rng, case)
     if form != "gain":
         drawn["bias_K"] = float(sign(rng) * rng.uniform(4.0, 20.0))
     if form != "offset":
@@ -258,9 +222,8 @@ def _draw_bias(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return drawn
 
 
-def _bias(case: Case, form: str, p: Parameters) -> Nature:
-    names = [s["name"] for s in case.point.sensors]
-    return Nature(indicated={names.index(p["sensor"]): (p.get("bias_K", 0.0), p.get("gain", 1.0))})
+def _bias(case: Case, form: str, p: Parameters) -> Deviation:
+    return biased(case, p)
 
 
 def _draw_skew(rng: Generator, case: Case, form: str) -> dict[str, Any]:
@@ -268,9 +231,9 @@ def _draw_skew(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     return {"skew_s": skew} | ({"drift_s": float(abs(skew) * rng.uniform(-0.3, 0.3))} if form == "drift" else {})
 
 
-def _skew(case: Case, form: str, p: Parameters) -> Nature:
+def _skew(case: Case, form: str, p: Parameters) -> Deviation:
     t = case.time_s
-    return Nature(skew_s=p["skew_s"] + p.get("drift_s", 0.0) * (t / t[-1] - 0.5))
+    return Deviation(skew_s=p["skew_s"] + p.get("drift_s", 0.0) * (t / t[-1] - 0.5))
 
 
 ON_WALL = (
@@ -280,12 +243,12 @@ ON_WALL = (
     ),
     Family(
         "conductivity", ("factor", "growing"), _draw_factor("conductivity_factor", (0.7, 0.92), (1.08, 1.35)),
-        _conductivity, {"conductivity_factor": (1.0, 0.65, 1.5)}, kinds=INSULATED, least_sensors=2,
+        _conductivity, {"conductivity_factor": (1.0, 0.65, 1.5)}, points=INSULATED, least_sensors=2,
     ),
     Family(
         "heat-capacity", ("insulation", "coating", "growing"),
         _draw_factor("heat_capacity_factor", (0.7, 0.92), (1.08, 1.35)), _heat_capacity,
-        {"heat_capacity_factor": (1.0, 0.65, 1.5), "coating_heat_capacity_factor": (1.0, 0.4, 2.2)}, kinds=INSULATED,
+        {"heat_capacity_factor": (1.0, 0.65, 1.5), "coating_heat_capacity_factor": (1.0, 0.4, 2.2)}, points=INSULATED,
         least_sensors=2,
     ),
     Family(
@@ -295,15 +258,15 @@ ON_WALL = (
     Family("sensor-bias", ("offset", "gain", "both"), _draw_bias, _bias,
            {"bias_K": (0.0, -40.0, 40.0), "gain": (1.0, 0.9, 1.1)}, least_sensors=2),
     Family("catalysis", ("logistic", "ramp", "enthalpy"), _draw_catalysis, _catalysis,
-           {"catalysis_step": (0.0, -0.5, 1.0)}, kinds=(*WINDWARD, "standoff")),
+           {"catalysis_step": (0.0, -0.5, 1.0)}, points=(*WINDWARD, "standoff")),
     Family(
-        "backface-cooling", ("film", "radiation", "free-convection", "both"), _draw_backface, _backface,
+        "backface-cooling", ("film", "radiation", "free-convection", "both"), _draw_backface, backface,
         {"back_h_W_m2K": (0.0, 0.5, 40.0), "back_emissivity": (0.0, 0.05, 0.95)}, least_sensors=2,
     ),
-    Family("gap-flow", ("exponential", "box", "diverted", "bell"), _draw_gap, _gap,
-           {"gap_fraction": (0.0, 2e-4, 0.15)}, kinds=INSULATED, least_sensors=3),
+    Family("gap-flow", ("exponential", "box", "diverted", "bell"), draw_gap, _gap,
+           {"gap_fraction": (0.0, 2e-4, 0.15)}, points=INSULATED, least_sensors=3),
     Family("moisture", ("capacity", "evaporating", "migrating"), _draw_moisture, _moisture,
-           {"water_kg_m3": (0.0, 0.05, 15.0)}, kinds=(*TILES, "felt"), least_sensors=3),
+           {"water_kg_m3": (0.0, 0.05, 15.0)}, points=(*TILES, "felt"), least_sensors=3),
     Family("radiative-conduction", ("cubic", "quartic", "cubic-above", "linear-above"), _draw_radiative, _radiative,
-           {"k_rad": (0.0, 1e-3, 0.2)}, kinds=(*TILES, "standoff"), least_sensors=3),
+           {"k_rad": (0.0, 1e-3, 0.2)}, points=(*TILES, "standoff"), least_sensors=3),
 )  # fmt: skip

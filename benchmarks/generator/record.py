@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.generator.case import FORMATS, NOTHING, Case, Nature, draw_case
+from benchmarks.challenge.deviation import NOTHING, Deviation
+from benchmarks.challenge.form import Drawn, Unsuitable, draw
+from benchmarks.challenge.recorder import Recorder, floor_K, measure, used, within
+from benchmarks.generator.case import FORMATS, Case, draw_case
 from benchmarks.generator.families import FAMILIES
-from benchmarks.generator.family import Drawn, draw_effect
-from benchmarks.generator.measure import Recorder, add_words, draw_recorder, draw_segments, floor_K, measure, within
+from benchmarks.generator.measure import add_words, draw_recorder, draw_segments, unit_noise
 from benchmarks.generator.point import DERIVATIVES, KINDS, VARIABLES
 from benchmarks.generator.rivals import accepted, rivals
 from benchmarks.generator.visibility import Bench, Seen, bench, see
@@ -41,7 +43,7 @@ class Made:
     name: str
     case: Case
     effect: Drawn
-    nature: Nature
+    deviation: Deviation
     recorder: Recorder
     segments: dict[str, list[list[float]]] | None
     indicated_K: FloatArray
@@ -53,7 +55,10 @@ class Made:
 def make(seed: int, number: int, effect: str) -> Made:
     """Record `number` of a seed with an effect of this name ("none" for none)."""
     for attempt in range(ATTEMPTS):
-        made = _attempt(np.random.default_rng([seed, number, attempt]), f"g{number:04d}", effect)
+        try:
+            made = _attempt(np.random.default_rng([seed, number, attempt]), f"g{number:04d}", effect)
+        except Unsuitable:
+            continue
         if made is not None:
             return made
     raise RuntimeError(f"seed {seed}, record {number}, {effect}: nothing visible in {ATTEMPTS} draws")
@@ -62,9 +67,9 @@ def make(seed: int, number: int, effect: str) -> Made:
 def _attempt(rng: Generator, name: str, effect: str) -> Made | None:
     """A record, or None where this draw cannot show its effect within physical bounds."""
     family = FAMILIES[effect]
-    kind = str(rng.choice(family.kinds or KINDS))
+    kind = str(rng.choice(family.points or KINDS))
     sensors = int(rng.integers(family.least_sensors, 6))
-    case = draw_case(rng, kind, sensors, family.manoeuvres)
+    case = draw_case(rng, kind, sensors, family.needs)
     if np.min(case.ratio(NOTHING, case.point.ratio.scale, case.point.ratio.d)) <= 0.0:
         return None
     recorder = draw_recorder(rng, float(case.time_s[-1]))
@@ -75,10 +80,8 @@ def _attempt(rng: Generator, name: str, effect: str) -> Made | None:
     plain = case.indicated(t)
     add_words(rng, case.point.sensors, np.max(plain, axis=0) + 40.0)
     _hold_back(rng, case.point.sensors)
-    drawn = draw_effect(rng, family, case)
-    if drawn is None:
-        return None
-    nature, seen, indicated = NOTHING, None, plain
+    drawn = draw(rng, family, case)
+    deviation, seen, indicated = NOTHING, None, plain
     left: dict[str, float] = {}
     if effect != "none":
         on = bench(case, t, fit)
@@ -86,12 +89,12 @@ def _attempt(rng: Generator, name: str, effect: str) -> Made | None:
         if found is None:
             return None
         drawn, seen = found
-        nature, left = drawn.nature(case), rivals(rng, on, effect, seen)
-        indicated = case.indicated(t, nature)
-    measured = measure(rng, recorder, case.point.sensors, indicated)
+        deviation, left = drawn.deviation(case), rivals(rng, on, effect, seen)
+        indicated = case.indicated(t, deviation)
+    measured = measure(rng, recorder, case.point.sensors, indicated, unit_noise)
     if np.nanmax(indicated) > 1850.0 or any(np.isnan(measured[fit, i]).all() for i in range(measured.shape[1])):
         return None
-    made = Made(name, case, drawn, nature, recorder, segments, indicated, measured, seen, {})
+    made = Made(name, case, drawn, deviation, recorder, segments, indicated, measured, seen, {})
     made.answer.update(_answer(made, fit, holdout) | _judged(effect, left))
     return made
 
@@ -107,11 +110,11 @@ def _made_visible(rng: Generator, on: Bench, drawn: Drawn) -> tuple[Drawn, Seen]
     target = float(np.exp(rng.uniform(*np.log(drawn.family.residual))))
     ratio = on.case.point.ratio
     for _ in range(6):
-        nature = drawn.nature(on.case)
-        if np.min(on.case.ratio(nature, ratio.scale, ratio.d)) < 0.02 * on.case.r_0:
+        deviation = drawn.deviation(on.case)
+        if np.min(on.case.ratio(deviation, ratio.scale, ratio.d)) < 0.02 * on.case.r_0:
             drawn = drawn.scaled(0.5)
             continue
-        seen = see(on, nature)
+        seen = see(on, deviation)
         over = seen.residual_over_floor
         if LIMITS[0] <= over <= LIMITS[1] and 0.7 < over / target < 1.5:
             return drawn, seen
@@ -130,20 +133,20 @@ def _judged(effect: str, left: dict[str, float]) -> dict[str, Any]:
 def _answer(made: Made, fit: NDArray[np.bool_], holdout: NDArray[np.bool_]) -> dict[str, Any]:
     """The entry of a record in answers.toml."""
     case, ratio = made.case, made.case.point.ratio
-    used = [i for i, s in enumerate(case.point.sensors) if s["used"]]
+    fitted = used(case.point.sensors)
     declared = case.indicated(made.recorder.time_s, scale=0.0, d=np.zeros(5))
     errors = {"scale": ratio.scale} | dict(zip(DERIVATIVES, ratio.d.tolist(), strict=True))
     reference = dict(zip(VARIABLES, ratio.reference.tolist(), strict=True))
     residual = made.measured_K - made.indicated_K
 
     def rmse(error: FloatArray) -> dict[str, float]:
-        parts = {"fit": error[fit][:, used], "holdout": error[holdout][:, used]}
+        parts = {"fit": error[fit][:, fitted], "holdout": error[holdout][:, fitted]}
         return {k: round(float(np.sqrt(np.nanmean(v**2))), 4) for k, v in parts.items() if np.isfinite(v).any()}
 
-    n = [int(np.isfinite(made.measured_K[fit, i]).sum()) for i in used]
-    floors = [floor_K(case.point.sensors[i]) for i in used]
+    n = [int(np.isfinite(made.measured_K[fit, i]).sum()) for i in fitted]
+    floors = [floor_K(case.point.sensors[i]) for i in fitted]
     answer: dict[str, Any] = {
-        "effect": made.effect.name,
+        "effect": made.effect.family.name,
         "form": made.effect.form,
         "parameters": made.effect.parameters,
         "control_point": case.point.name,

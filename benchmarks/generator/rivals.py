@@ -8,10 +8,12 @@ missed, and one that profits from three free magnitudes can be listed.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
+from benchmarks.challenge.form import Family, Unsuitable, draw
 from benchmarks.generator.families import FAMILIES
-from benchmarks.generator.family import draw_effect
 from benchmarks.generator.visibility import Bench, Seen, remainder
 
 DRAWS = 3
@@ -48,12 +50,19 @@ def rivals(rng: np.random.Generator, on: Bench, name: str, seen: Seen) -> dict[s
     """Chi-square that `none` and each rival leave of an effect, which itself leaves 0."""
     left = {"none": _square(remainder(seen.slopes, seen.change))}
     for rival in CONFUSABLE[name]:
-        forms = FAMILIES[rival].forms
-        drawn = [draw_effect(rng, FAMILIES[rival], on.case, forms[i % len(forms)]) for i in range(DRAWS)]
-        signals = [on.change(effect.nature(on.case)) for effect in drawn if effect is not None]
+        signals = _signals(rng, on, FAMILIES[rival])
         if signals:
             left[rival] = _square(remainder(np.column_stack([seen.slopes, *signals]), seen.change))
     return left
+
+
+def _signals(rng: np.random.Generator, on: Bench, family: Family) -> list[np.ndarray]:
+    """(reading,) of each of DRAWS draws of a rival, its forms in turn; fewer where the case cannot show one."""
+    drawn = []
+    for i in range(DRAWS):
+        with suppress(Unsuitable):
+            drawn.append(draw(rng, family, on.case, family.forms[i % len(family.forms)]))
+    return [on.change(effect.deviation(on.case)) for effect in drawn]
 
 
 def accepted(name: str, left: dict[str, float]) -> list[str]:

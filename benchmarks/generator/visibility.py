@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.generator.case import Case, Nature
-from benchmarks.generator.measure import floor_K
+from benchmarks.challenge.deviation import Deviation
+from benchmarks.challenge.recorder import floor_K, used
+from benchmarks.generator.case import Case
 from benchmarks.generator.point import SLOPE_ERRORS
 
 FloatArray = NDArray[np.float64]
@@ -49,9 +50,9 @@ class Bench:
     plain_K: FloatArray
     slopes: FloatArray
 
-    def change(self, nature: Nature) -> FloatArray:
+    def change(self, deviation: Deviation) -> FloatArray:
         """(reading,) change by an effect, over the floor."""
-        return stacked(self.case, self.case.indicated(self.t, nature, refine=SPARSE) - self.plain_K, self.fit)
+        return stacked(self.case, self.case.indicated(self.t, deviation, refine=SPARSE) - self.plain_K, self.fit)
 
 
 def bench(case: Case, t: FloatArray, fit: NDArray[np.bool_]) -> Bench:
@@ -60,9 +61,9 @@ def bench(case: Case, t: FloatArray, fit: NDArray[np.bool_]) -> Bench:
     return Bench(case, t, fit, plain, _slopes(case, t, fit, plain))
 
 
-def see(on: Bench, nature: Nature) -> Seen:
+def see(on: Bench, deviation: Deviation) -> Seen:
     """Influence of an effect on a case."""
-    case, J, change = on.case, on.slopes, on.change(nature)
+    case, J, change = on.case, on.slopes, on.change(deviation)
     floors = weights(case)
     left = remainder(J, change)
     acts = np.abs(left) > 2.0
@@ -74,13 +75,12 @@ def see(on: Bench, nature: Nature) -> Seen:
 
 def weights(case: Case) -> FloatArray:
     """Noise floor of each used sensor [K]."""
-    return np.array([floor_K(s) for s in case.point.sensors if s["used"]])
+    return np.array([floor_K(case.point.sensors[i]) for i in used(case.point.sensors)])
 
 
 def stacked(case: Case, readings_K: FloatArray, fit: NDArray[np.bool_]) -> FloatArray:
     """Fitted readings of the used sensors in one row, over their floors."""
-    used = [i for i, s in enumerate(case.point.sensors) if s["used"]]
-    return (readings_K[fit][:, used] / weights(case)).T.ravel()
+    return (readings_K[fit][:, used(case.point.sensors)] / weights(case)).T.ravel()
 
 
 def remainder(J: FloatArray, change: FloatArray) -> FloatArray:
