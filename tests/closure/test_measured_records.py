@@ -316,6 +316,25 @@ def test_an_effect_of_a_record_with_a_late_clock_is_known_to_the_last_reading():
     np.testing.assert_allclose(changes, changes[1], rtol=1e-3)
 
 
+@pytest.mark.thorough
+def test_a_sudden_change_of_emittance_acts_as_a_jump_of_the_heating():
+    """A surface that radiates a fifth less than before is as hot as one that is heated by a quarter more."""
+    base = base_trial(declared_fit(load_record(RECORDS / "practice" / "p06")))
+    flown = conditions_of_record(base.record_fit.record)
+    candidate = next(
+        c for c in candidates(base.record_fit.record, flown, ()) if "effect.emissivity.change_s" in c.names
+    )
+    problem, middle = problem_with(base, candidate), float(np.median(flown.time_s))
+    changed = {"emissivity_factor": 0.8, "change_s": middle, "duration_s": 0.5}
+    effect = {f"effect.emissivity.{name}": value for name, value in changed.items()}
+    values = start_values(problem, fitted_values(base) | candidate.start | effect)
+    fit = replace(base.fit, names=problem.record_fits[0].names, values=values)
+    change = heating_change(TrialFit("emissivity", candidate, problem, None, fit), candidate)
+    assert change[0] == pytest.approx(0.0, abs=1e-12)
+    assert change[-1] == pytest.approx(0.25, rel=1e-6)
+    assert np.count_nonzero(np.diff(change > 0.125)) == 1
+
+
 def cause_that_predicts_worse(none, lost):
     """A fit that makes the readings held out less likely by some nats than the declared model of a record does."""
     step = np.eye(len(none.last.fit.values))[none.last.fit.names.index("ratio.scale")] * 0.002
