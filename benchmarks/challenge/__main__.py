@@ -6,15 +6,11 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import time
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import click
-import numpy as np
 
-from benchmarks.challenge.files import toml_text
+from benchmarks.challenge.making import chosen, write_set
 from benchmarks.challenge.record import WORLDS, make_and_write, whole_set
 
 
@@ -28,25 +24,16 @@ from benchmarks.challenge.record import WORLDS, make_and_write, whole_set
 def main(count: int | None, seed: int, world: str, classes: str, out: Path, processes: int) -> None:
     """Make and write."""
     known = WORLDS[world]
-    names = list(known) if classes == "all" else [name.strip() for name in classes.split(",")]
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise click.BadParameter(f"`{unknown[0]}` is not a class; known: {', '.join(known)}, or all")
-    if out.exists() and any(out.iterdir()):
-        raise click.BadParameter(f"`{out}` is not empty; give a new directory")
-    out.mkdir(parents=True, exist_ok=True)
+    names = list(known) if classes == "all" else chosen(classes, list(known), "a class")
     count = sum(known[name] for name in names) if count is None else count
     tasks = [(seed, number, of_class, out, world == "imperfect") for of_class, number in whole_set(count, names, world)]
-    answers: dict[str, dict[str, Any]] = {}
-    start, seconds = time.perf_counter(), []
-    with get_context("spawn").Pool(processes) as pool:
-        for name, answer, taken in pool.imap(make_and_write, tasks):
-            answers[name] = answer
-            seconds.append(taken)
-            click.echo(f"{name:<12} {', '.join(answer['form']):<50} {answer['wall']:<13} {taken:5.1f} s")
-            (out / "answers.toml").write_text(toml_text(answers))
-    whole = time.perf_counter() - start
-    click.echo(f"{count} records in {whole:.0f} s; median {np.median(seconds):.1f} s a record and process")
+    write_set(
+        tasks,
+        make_and_write,
+        out,
+        processes,
+        lambda name, answer: f"{name:<12} {', '.join(answer['form']):<50} {answer['wall']:<13}",
+    )
 
 
 if __name__ == "__main__":

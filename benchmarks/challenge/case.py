@@ -115,7 +115,7 @@ class History:
     def true_ratio(self) -> FloatArray:
         """(time,) ratio with the true scale and slopes."""
         ratio = self.case.ratio
-        return ratio.true(self.declared, self.x, ratio.scale, ratio.d)
+        return ratio.true(self.x, ratio.scale, ratio.d, self.declared)
 
     @cached_property
     def hot(self) -> NDArray[np.bool_]:
@@ -134,7 +134,7 @@ class History:
         """(time, surface | thermocouple) temperatures [K]; the true scale and slopes unless given."""
         case, ratio = self.case, self.case.ratio
         errors = (ratio.scale if scale is None else scale, ratio.d if d is None else d)
-        r = (ratio.true(self.declared, self.x, *errors) + deviation.add) * deviation.multiply
+        r = (ratio.true(self.x, *errors, self.declared) + deviation.add) * deviation.multiply
         wall, depths = self._wall(deviation)
         n = len(self.t)
         weights, share, diverted = deviation.deposit or (np.zeros_like, 0.0, 0.0)

@@ -5,7 +5,7 @@ r = r_table(x) (1 + scale) + sum d_v (v - v_0)      multilinear table, constant 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache
@@ -40,13 +40,13 @@ IN_DEPTH = ("V09T9527", "own-plug", "own-felt", "own-standoff")
 class Ratio:
     """A declared table and its true errors about a reference condition.
 
-    axes, table, sigma : as in ratio_table.csv
+    axes, table, sigma : as in ratio_table.csv; a table may state no sigma
     scale, d           : errors of the table's size [1] and slopes [1/deg, 1/deg, 1, 1/deg, 1/deg]
     """
 
-    axes: list[FloatArray]
+    axes: Sequence[FloatArray]
     table: FloatArray
-    sigma: FloatArray
+    sigma: FloatArray | None
     scale: float
     d: FloatArray
     reference: FloatArray
@@ -57,8 +57,16 @@ class Ratio:
         inside = np.array([np.clip(x[i], self.axes[i][0], self.axes[i][-1]) for i in many]).T
         return np.asarray(RegularGridInterpolator([self.axes[i] for i in many], self.table.squeeze())(inside))
 
-    def true(self, declared: FloatArray, x: FloatArray, scale: float, d: FloatArray) -> FloatArray:
-        """(time,) the linear heating model over the tabulated ratio."""
+    @property
+    def columns(self) -> dict[str, FloatArray]:
+        """The columns of ratio_table.csv."""
+        grid = np.meshgrid(*self.axes, indexing="ij")
+        found = {v: g.ravel() for v, g in zip(VARIABLES, grid, strict=True)} | {"ratio": self.table.ravel()}
+        return found if self.sigma is None else found | {"sigma": self.sigma.ravel()}
+
+    def true(self, x: FloatArray, scale: float, d: FloatArray, declared: FloatArray | None = None) -> FloatArray:
+        """(time,) the linear heating model at (variable, time); `declared` where the tabulated ratio is at hand."""
+        declared = self.declared(x) if declared is None else declared
         return declared * (1.0 + scale) + d @ (x - self.reference[:, np.newaxis])
 
 
@@ -103,11 +111,11 @@ def material(vehicle: str, name: str) -> dict[str, Any]:
     return found
 
 
-def times(table: Any, factor: float) -> Any:
-    """A property table times a factor, to five digits."""
+def times(table: Any, factor: float, digits: int = 5) -> Any:
+    """A property table, [[T_K, value], ...] or { p_Pa, T_K, k }, times a factor."""
     if isinstance(table, Mapping):
-        return {**table, "k": [[float(f"{factor * v:.5g}") for v in row] for row in table["k"]]}
-    return [[T, float(f"{factor * v:.5g}")] for T, v in table]
+        return {**table, "k": [[float(f"{factor * v:.{digits}g}") for v in row] for row in table["k"]]}
+    return [[T, float(f"{factor * v:.{digits}g}")] for T, v in table]
 
 
 def draw_point(rng: Generator, name: str) -> Point:

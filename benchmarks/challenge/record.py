@@ -366,21 +366,16 @@ def _answer(made: Made, of_class: str, null: str) -> dict[str, Any]:
 
 def write(made: Made, out: Path) -> None:
     """Write the record as a directory of its name in `out`."""
-    case, t, sensors = made.case, made.recorder.time_s, made.case.point.sensors
+    case, sensors = made.case, made.case.point.sensors
     folder = out / made.name
     folder.mkdir(parents=True)
     (folder / "record.toml").write_text(toml_text(declaration(made)))
     write_csv(folder / "conditions.csv", case.recorded, FORMATS)
     readings = {s["column"]: made.measured_K[:, i] for i, s in enumerate(sensors)}
-    write_csv(
-        folder / "thermocouples.csv", {"time_s": t} | readings, {"time_s": ".2f"} | dict.fromkeys(readings, ".3f")
-    )
-    grid = np.meshgrid(*case.ratio.axes, indexing="ij")
-    table = {v: g.ravel() for v, g in zip(VARIABLES, grid, strict=True)}
-    table |= {"ratio": case.ratio.table.ravel(), "sigma": case.ratio.sigma.ravel()}
-    write_csv(
-        folder / "ratio_table.csv", table, {"sigma": ".4g"}, "# source: the record's own, total recovery enthalpy\n"
-    )
+    formats = {"time_s": ".2f"} | dict.fromkeys(readings, ".3f")
+    write_csv(folder / "thermocouples.csv", {"time_s": made.recorder.time_s} | readings, formats)
+    head = "# source: the record's own, total recovery enthalpy\n"
+    write_csv(folder / "ratio_table.csv", case.ratio.columns, {"sigma": ".4g"}, head)
 
 
 def declaration(made: Made) -> dict[str, Any]:

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import time
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
 
+from benchmarks.challenge.making import chosen, write_set
 from benchmarks.generator.families import FAMILIES
 from benchmarks.generator.record import make_and_write
-from sim_heating.base.files import toml_text, write_text_atomic
 
 
 def effect_names(asked: str) -> list[str]:
     """`all` (the none excepted), `none`, or names separated by commas."""
     if asked == "all":
         return [name for name in FAMILIES if name != "none"]
-    names = [name.strip() for name in asked.split(",")]
-    unknown = [name for name in names if name not in FAMILIES]
-    if unknown:
-        raise click.BadParameter(f"`{unknown[0]}` is not an effect; known: {', '.join(FAMILIES)}, or all")
-    return names
+    return chosen(asked, list(FAMILIES), "an effect")
 
 
 @click.command(help="Write flight records with known undeclared effects, and answers.toml next to them.")
@@ -37,16 +30,13 @@ def main(count: int, seed: int, effects: str, out: Path, processes: int) -> None
     names = effect_names(effects)
     turn = np.random.default_rng([seed, 0]).permutation(len(names))
     tasks = [(seed, i, names[turn[i % len(names)]], out) for i in range(count)]
-    answers: dict[str, dict[str, Any]] = {}
-    start, seconds = time.perf_counter(), []
-    with get_context("spawn").Pool(processes) as pool:
-        for name, answer, taken in pool.imap(make_and_write, tasks):
-            answers[name] = answer
-            seconds.append(taken)
-            click.echo(f"{name}  {answer['effect']:<22} {answer['form']:<20} {taken:6.1f} s")
-            write_text_atomic(out / "answers.toml", toml_text(answers))
-    whole = time.perf_counter() - start
-    click.echo(f"{count} records in {whole:.0f} s; median {np.median(seconds):.1f} s a record and process")
+    write_set(
+        tasks,
+        make_and_write,
+        out,
+        processes,
+        lambda name, answer: f"{name}  {answer['effect']:<22} {answer['form']:<20}",
+    )
 
 
 if __name__ == "__main__":

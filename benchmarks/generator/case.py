@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.challenge.deviation import HOT_K, NOTHING, Deviation
+from benchmarks.challenge.point import VARIABLES
 from benchmarks.generator.conduction import STEP_S, Forcing, build_wall, march, wall_enthalpy
 from benchmarks.generator.flight import Flight, draw_flight
-from benchmarks.generator.point import VARIABLES, Point, draw_point
+from benchmarks.generator.point import Point, draw_point
 from sim_heating.base.conditions import Conditions
 from sim_heating.heating.reference.models import reference_heating
 

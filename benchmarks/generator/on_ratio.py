@@ -24,8 +24,8 @@ from scipy.special import expit, ndtr
 
 from benchmarks.challenge.deviation import Deviation
 from benchmarks.challenge.form import Family, Generator, Parameters, Unsuitable, sign
+from benchmarks.challenge.point import VARIABLES
 from benchmarks.generator.case import STEP_S, Case
-from benchmarks.generator.point import VARIABLES
 
 FloatArray = NDArray[np.float64]
 

@@ -33,10 +33,10 @@ from benchmarks.challenge.on_wall import (
     reshaped,
     wet_capacity,
 )
+from benchmarks.challenge.point import times
 from benchmarks.challenge.wall import along
 from benchmarks.generator.case import Case
 from benchmarks.generator.on_ratio import WINDWARD
-from benchmarks.generator.point import scaled
 
 FloatArray = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def _coating(case: Case, form: str, p: Parameters) -> Deviation:
         outer["thickness_m"] *= p["coating_factor"]
         if form == "poor-conductor":
             glass = materials[outer["material"]]
-            glass["conductivity_W_mK"] = scaled(glass["conductivity_W_mK"], 0.85)
+            glass["conductivity_W_mK"] = times(glass["conductivity_W_mK"], 0.85, 4)
 
     return Deviation(walls=(apply,))
 

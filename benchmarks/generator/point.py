@@ -7,56 +7,23 @@ The derivative errors are those of a tunnel table: some per cent in size, some t
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
+
+from benchmarks.challenge.point import Ratio, material, times
 
 FloatArray = NDArray[np.float64]
 Generator = np.random.Generator
 
-AIRCRAFT = Path(__file__).resolve().parents[2] / "aircraft_data"
-VARIABLES = ("alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg")
-DERIVATIVES = ("d_alpha", "d_beta", "d_logre", "d_elevon", "d_bodyflap")
 SLOPE_ERRORS = (0.003, 0.002, 0.02, 0.005, 0.002)
 """Standard deviation of the derivative errors as a share of the ratio, by variable."""
 
 KINDS = ("lower", "elevon", "flap", "felt", "standoff", "metals")
-
-
-@dataclass(frozen=True)
-class Ratio:
-    """A declared heating-ratio table and its true errors.
-
-    axes, table : as in ratio_table.csv
-    scale, d    : true errors: of the table's size, of the slopes [1/deg, 1/deg, 1, 1/deg, 1/deg]
-    reference   : (variable,) condition that the slopes are about
-    """
-
-    axes: tuple[FloatArray, ...]
-    table: FloatArray
-    scale: float
-    d: FloatArray
-    reference: FloatArray
-
-    def declared(self, x: FloatArray) -> FloatArray:
-        """(time,) tabulated ratio at (variable, time)."""
-        many = [i for i, axis in enumerate(self.axes) if len(axis) > 1]
-        clipped = [np.clip(x[i], self.axes[i][0], self.axes[i][-1]) for i in many]
-        return np.asarray(
-            RegularGridInterpolator([self.axes[i] for i in many], self.table.squeeze())(np.array(clipped).T)
-        )
-
-    def true(self, x: FloatArray, scale: float, d: FloatArray) -> FloatArray:
-        """(time,) the linear heating model at (variable, time)."""
-        return self.declared(x) * (1.0 + scale) + d @ (x - self.reference[:, np.newaxis])
 
 
 @dataclass(frozen=True)
@@ -84,32 +51,16 @@ class Point:
         return columns["p_inf_Pa"] + q * factor * 1.84 * np.sin(angle) ** 2
 
 
-@cache
-def _material(vehicle: str, name: str) -> dict[str, Any]:
-    with open(AIRCRAFT / vehicle / "materials" / f"{name}.toml", "rb") as file:
-        declared = tomllib.load(file)
-    kept = ("density_kg_m3", "emissivity", "specific_heat_J_kgK", "conductivity_W_mK")
-    return {key: declared[key] for key in kept if key in declared}
-
-
-def scaled(value: Any, factor: float, digits: int = 4) -> Any:
-    """A property table, [[T_K, value], ...] or { p_Pa, T_K, k }, times a factor."""
-    if isinstance(value, Mapping):
-        rows = [[float(f"{factor * v:.{digits}g}") for v in row] for row in value["k"]]
-        return {**value, "k": rows}
-    return [[T, float(f"{factor * v:.{digits}g}")] for T, v in value]
-
-
 def _jittered(rng: Generator, vehicle: str, name: str) -> dict[str, Any]:
     """A material of the same class, a few per cent apart in every property."""
-    material = deepcopy(_material(vehicle, name))
-    material["density_kg_m3"] = float(f"{material['density_kg_m3'] * rng.normal(1.0, 0.02):.4g}")
+    properties = deepcopy(material(vehicle, name))
+    properties["density_kg_m3"] = float(f"{properties['density_kg_m3'] * rng.normal(1.0, 0.02):.4g}")
     for key in ("specific_heat_J_kgK", "conductivity_W_mK"):
-        material[key] = scaled(material[key], float(np.clip(rng.normal(1.0, 0.06), 0.8, 1.2)))
-    if "emissivity" in material:
-        factor = min(rng.normal(1.0, 0.02), 0.99 / max(v for _, v in material["emissivity"]))
-        material["emissivity"] = scaled(material["emissivity"], factor)
-    return material
+        properties[key] = times(properties[key], float(np.clip(rng.normal(1.0, 0.06), 0.8, 1.2)), 4)
+    if "emissivity" in properties:
+        factor = min(rng.normal(1.0, 0.02), 0.99 / max(v for _, v in properties["emissivity"]))
+        properties["emissivity"] = times(properties["emissivity"], factor, 4)
+    return properties
 
 
 def _layers(rng: Generator, kind: str) -> list[tuple[str, str, str, float]]:
@@ -217,4 +168,4 @@ def _draw_ratio(rng: Generator, kind: str, means: FloatArray) -> Ratio:
         d[1] = 0.0
     scale = float(np.clip(rng.normal(0.0, 0.06), -0.15, 0.15))
     rounded = np.array([float(f"{v:.5g}") for v in table.ravel()]).reshape(table.shape)
-    return Ratio(axes, rounded, round(scale, 5), np.array([float(f"{v:.4g}") for v in d]), reference)
+    return Ratio(axes, rounded, None, round(scale, 5), np.array([float(f"{v:.4g}") for v in d]), reference)

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from benchmarks.challenge.deviation import NOTHING, Deviation
 from benchmarks.challenge.form import Drawn, Unsuitable, draw
+from benchmarks.challenge.point import DERIVATIVES, VARIABLES
 from benchmarks.challenge.recorder import Recorder, floor_K, measure, used, within
 from benchmarks.generator.case import FORMATS, Case, draw_case
 from benchmarks.generator.families import FAMILIES
 from benchmarks.generator.measure import add_words, draw_recorder, draw_segments, unit_noise
-from benchmarks.generator.point import DERIVATIVES, KINDS, VARIABLES
+from benchmarks.generator.point import KINDS
 from benchmarks.generator.rivals import accepted, rivals
 from benchmarks.generator.visibility import Bench, Seen, bench, see
 from sim_heating.base.files import output_directory, toml_text, write_csv, write_text_atomic
@@ -173,19 +174,16 @@ def _answer(made: Made, fit: NDArray[np.bool_], holdout: NDArray[np.bool_]) -> d
 
 def write(made: Made, out: Path) -> None:
     """Write the record as a directory of its name in `out`."""
-    case, t = made.case, made.recorder.time_s
+    case, sensors = made.case, made.case.point.sensors
+    readings = {s["column"]: made.measured_K[:, i] for i, s in enumerate(sensors)}
+    named = case.heating["reference"]
     with output_directory(out / made.name, "generator") as folder:
         write_text_atomic(folder / "record.toml", toml_text(declaration(made)))
         write_csv(folder / "conditions.csv", case.recorded, FORMATS)
-        columns = {s["column"]: made.measured_K[:, i] for i, s in enumerate(case.point.sensors)}
-        write_csv(
-            folder / "thermocouples.csv", {"time_s": t} | columns, {"time_s": ".1f"} | dict.fromkeys(columns, ".3f")
-        )
-        grid = np.meshgrid(*case.point.ratio.axes, indexing="ij")
-        table = {v: g.ravel() for v, g in zip(VARIABLES, grid, strict=True)} | {"ratio": case.point.ratio.table.ravel()}
-        named = case.heating["reference"]
+        formats = {"time_s": ".1f"} | dict.fromkeys(readings, ".3f")
+        write_csv(folder / "thermocouples.csv", {"time_s": made.recorder.time_s} | readings, formats)
         header = {"source": "random"} | ({} if named == "columns" else {"reference": named})
-        write_csv(folder / "ratio_table.csv", table, ".10g", header)
+        write_csv(folder / "ratio_table.csv", case.point.ratio.columns, ".10g", header)
 
 
 def declaration(made: Made) -> dict[str, Any]:
