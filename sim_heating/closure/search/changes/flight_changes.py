@@ -210,27 +210,34 @@ class Variation:
         return RecordChange("flight", text, UNKNOWNS[self.quantity], apply, words, form=self.name, near=near)
 
 
+def _sharp(low: float, high: float) -> tuple[list[float], list[float]]:
+    """Altitudes of a layer with edges of 1 m, and 1 within it."""
+    return [low - 1.0, low, high, high + 1.0], [0.0, 1.0, 1.0, 0.0]
+
+
 def _smooth(low: float, high: float) -> tuple[list[float], list[float]]:
     """Altitudes that a layer is interpolated between, and 1 - cos there."""
     at = np.linspace(0.0, 1.0, 33)
     return (low + (high - low) * at).tolist(), (0.5 - 0.5 * np.cos(2.0 * np.pi * at)).tolist()
 
 
-# the edges of a sharp layer are 1 m thick
-DENSITY_LAYER = Variation(
-    "density", "density between", "", lambda low, high: ([low - 1.0, low, high, high + 1.0], [0.0, 1.0, 1.0, 0.0])
-)
+def _drift(begin: float, end: float) -> tuple[list[float], list[float]]:
+    """Times of a drift, and a rise to 1 at the second, which stays."""
+    return [begin, end], [0.0, 1.0]
+
+
+def _excursion(begin: float, end: float) -> tuple[list[float], list[float]]:
+    """Times of an excursion, and a rise to 1 in the middle of them and back."""
+    return [begin, 0.5 * (begin + end), end], [0.0, 1.0, 0.0]
+
+
+DENSITY_LAYER = Variation("density", "density between", "", _sharp)
 """The density was another by a factor between two altitudes."""
 SMOOTH_LAYER = Variation("density", "density of a smooth layer between", ", at most", _smooth)
 """The density was another by a factor that rises and falls between two altitudes, as 1 - cos."""
-VELOCITY_DRIFT = Variation(
-    "velocity", "drift of the velocity", ", at its end", lambda begin, end: ([begin, end], [0.0, 1.0])
-)
+VELOCITY_DRIFT = Variation("velocity", "drift of the velocity", ", at its end", _drift)
 """The velocity drifts away between two times, and keeps the factor that it has at the second."""
-VELOCITY_EXCURSION = Variation(
-    "velocity", "excursion of the velocity", ", at its largest",
-    lambda begin, end: ([begin, 0.5 * (begin + end), end], [0.0, 1.0, 0.0]),
-)  # fmt: skip
+VELOCITY_EXCURSION = Variation("velocity", "excursion of the velocity", ", at its largest", _excursion)
 """The velocity drifts away between two times and returns as evenly: an error that was corrected."""
 
 
