@@ -138,9 +138,7 @@ def invalidate_walls(B: FloatArray) -> None:
 
 
 @njit
-def evaluate_faces(
-    B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, keeps_slope: bool = False
-) -> None:
+def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int, keeps_slope: bool) -> None:
     """Heat from outside [W/m2] and its slope [W/(m2 K)] at surface, back and gaps, at the present temperatures.
 
     B           : block of the lane group; SOURCE and SLOPE of the nodes concerned change, and in lanes that iterate

@@ -98,7 +98,7 @@ def _filter_errors(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt
         # Evaluating the faces writes the lag at the last temperature, not at that of the lane's own last iterate.
         B[block.BEFORE_LAG * LANES + lane] = B[(block.LAG_VALUE + block.END) * LANES + lane]
         B[(block.BEFORE_LAG + 1) * LANES + lane] = B[(block.LAG_INPUT + block.END) * LANES + lane]
-    evaluate_faces(B, J, table, dispatcher, block.END)
+    evaluate_faces(B, J, table, dispatcher, block.END, block.NO)
     assemble(B, J, table, STAGE_WEIGHT * dt, REDUCED)
     for lane in range(LANES):
         B[(block.LAG_VALUE + block.END) * LANES + lane] = B[block.BEFORE_LAG * LANES + lane]

@@ -100,7 +100,7 @@ def rows_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: floa
     """
     heat_perturbed_lanes(B, J, table, dispatcher, block.END)
     select_pressure(B, J, block.END)
-    evaluate_faces(B, J, table, dispatcher, block.END)
+    evaluate_faces(B, J, table, dispatcher, block.END, block.NO)
     assemble(B, J, table, ddt, WHOLE_ROWS)
 
 

@@ -114,7 +114,7 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) ->
     select_pressure(B, J, block.END)
     for lane in range(LANES):
         B[block.ACTIVE * LANES + lane] = 1.0
-    evaluate_faces(B, J, table, dispatcher, block.END)
+    evaluate_faces(B, J, table, dispatcher, block.END, block.NO)
     for lane in range(LANES):
         B[block.STAGE_IN * LANES + lane] = B[(block.HEAD_ROWS + block.SOURCE) * LANES + lane]
         back = (block.HEAD_ROWS + J[block.BACK_NODE + lane] * block.NODE_ROWS) * LANES

@@ -22,6 +22,8 @@ LANES = 8
 END: Any = np.int64(2)
 """Stage at the end of a step [-]. A plain 2 would be a type of its own to numba, and every kernel that takes a stage
 would be compiled a second time."""
+NO: Any = np.bool_(False)
+"""An option of a kernel that is off, likewise of the type of one that is worked out."""
 
 # Flight conditions of a lane, in contract units (base/conditions.py); the first five are the variables of a ratio
 # table.
