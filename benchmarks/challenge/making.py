@@ -47,6 +47,8 @@ def write_set(
             answers[name] = answer
             seconds.append(taken)
             click.echo(f"{line(name, answer)} {taken:6.1f} s")
-            (out / "answers.toml").write_text(toml_text(answers))
+            unfinished = out / "answers.toml.part"
+            unfinished.write_text(toml_text(answers))
+            unfinished.replace(out / "answers.toml")
     whole = time.perf_counter() - start
     click.echo(f"{len(tasks)} records in {whole:.0f} s; median {np.median(seconds):.1f} s a record and process")

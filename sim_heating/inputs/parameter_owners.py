@@ -96,7 +96,7 @@ class Owners:
         return list(dict.fromkeys(self.label(n.partition(AT)[0], r) for n in names for r in self.covered(n)))
 
     def of_record(self, names: Iterable[str], record: Record) -> list[str]:
-        """Those of some names that cover a parameter of a record, without owners, each once."""
+        """The names, with owners or without, that cover a parameter of a record: without owners, each once."""
         return list(dict.fromkeys(n.partition(AT)[0] for n in names if self._covers(n, record)))
 
     def stated(self, values: Mapping[str, T], record: Record) -> dict[str, T]:

@@ -988,7 +988,7 @@ def _no_time(block: Block, called: _Head | None) -> InputError:
 
 
 def _best_time(readable: Sequence[CsvColumn], by_name: Mapping[str, _Head]) -> CsvColumn:
-    """Of columns of times the first that is more than a day and not the same in all rows, as far as there is one."""
+    """The first column of times that states a time of day and changes from row to row, as far as there is one."""
     clock_of_column = {c.name: by_name[c.name].clock for c in readable}
     with_time = [c for c in readable if (clock := clock_of_column[c.name]) is None or clock.has_time] or readable
     return next((c for c in with_time if _moves(by_name[c.name])), with_time[0])

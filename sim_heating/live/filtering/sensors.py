@@ -90,7 +90,7 @@ class SensorTable:
 
     @cached_property
     def _terms(self) -> list[FloatArray]:
-        """Of each sensor (parameter, 3) what a reading has of each parameter directly, as `direct_terms`."""
+        """(parameter, 3) direct terms of a reading in each parameter, an array for each sensor (`direct_terms`)."""
         return [
             direct_terms(s, self.names[i], np.ones(1), 1.0, np.zeros(1), np.ones(1))[0]
             for i, s in zip(self.point, self.sensors, strict=True)
