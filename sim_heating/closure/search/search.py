@@ -585,7 +585,10 @@ def search_round(base: TrialFit, excluded: Sequence[str], progress: Progress) ->
     by_history = history_starts(base, tried)
     gains += gains_from(base, by_history)
     tried += by_history
-    selected = sorted(select_candidates(tried, gains, trial_fit.sample_count(base.problem)))
+    # predictions are linear; beside an error gains are small, and one that deceives would leave no other
+    selected = sorted(
+        select_candidates(tried, gains, trial_fit.sample_count(base.problem), every_effect=base.has_error)
+    )
     progress(0.3, f"fitting {len(selected)} of {len(tried)} candidates")
     chosen = [tried[i] for i in selected]
     fitted = fit_in_stages(

@@ -160,24 +160,28 @@ def _predicted_likelihoods(
     return readings.log_likelihood, readings.log_likelihood + predicted_gain(g, covariance(M))
 
 
-def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
+def select_candidates(
+    candidates: Sequence[Candidate], gains: Sequence[float], n: int, *, every_effect: bool = False
+) -> list[int]:
     """Indices of the candidates that are fitted: the most promising starts of each form.
 
     Left out are candidates that predict much less gain than the best, or less than their parameters cost.
     gains : predicted gain of each;  n : number of samples
+    every_effect : whether the best start of each effect is fitted, however much more another one predicts
     """
     best = max(gains, default=0.0)
     count: dict[Form, int] = {}
     selected = []
+    effects = set[str]()
     for i in sorted(range(len(candidates)), key=lambda i: -gains[i]):
-        form = candidates[i].form
+        form, name = candidates[i].form, candidates[i].name
         # A weak candidate is not worth a second start.
         allowed = EFFORT.starts if gains[i] > POLICY.min_of_best * best else 1
-        promising = gains[i] > max(
-            POLICY.min_promised * best, 0.5 * np.log(n) * len(candidates[i].names) - POLICY.gain_margin
-        )
+        least = 0.0 if every_effect and name not in effects else POLICY.min_promised * best
+        promising = gains[i] > max(least, 0.5 * np.log(n) * len(candidates[i].names) - POLICY.gain_margin)
         if promising and count.get(form, 0) < allowed:
             count[form] = count.get(form, 0) + 1
+            effects.add(name)
             selected.append(i)
     return selected
 

@@ -378,7 +378,27 @@ def base_trial(baseline: FitResult, *, is_clock_free: bool = False) -> TrialFit:
     information = np.array([p.sigma**-2.0 for p in problem.parameters])
     fit = replace(fit, prior_information=information, log_posterior=fit.log_likelihood)
     fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
-    return TrialFit("none", NO_EFFECT, problem, held_out_problem, fit)
+    return _with_error_no_larger(TrialFit("none", NO_EFFECT, problem, held_out_problem, fit))
+
+
+def _with_error_no_larger(base: TrialFit) -> TrialFit:
+    """The declared model with the most probable error of its heating, where that is smaller than the prior's scale.
+
+    With a cause the error is no larger than without one. A middling error would hide causes that a smaller one does
+    not, and one that follows what is missing would hide that.
+    """
+    error, prior = base.record_fit.model_error, heating_error_prior(base.record_fit.record)
+    if error is None or prior is None or error.sigma == 0.0:
+        return base
+    sigma, correlation, _ = _size_of_error(base, prior).likeliest
+    if sigma >= error.sigma:
+        return base
+    smaller = with_error(base, error.of_size(sigma, correlation, error.flight_scale))
+    fit = maximise_together([smaller.problem], [base.fit.values], QUICK)[0]
+    if not np.isfinite(fit.log_likelihood):
+        return base
+    fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
+    return replace(smaller, fit=replace(fit, prior_information=base.fit.prior_information))
 
 
 def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, float]) -> ModelError | None:
