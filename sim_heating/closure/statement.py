@@ -115,7 +115,6 @@ def closure_of(
             *notes,
             *(line for line in fitted.warnings if line not in {*notes, *(f.message for f in faults)}),
             *_forms(result),
-            *causes_like_errors(result),
             *_residual_warning(result, residual_after),
         ],
         remarks=remarks(fitted),
@@ -239,22 +238,6 @@ def _forms(result: SearchResult) -> list[str]:
                     f"{trial.name} has another form than the library's: a curve in the {label} is added to the ratio, "
                     f"{VALUES[0]} to {VALUES[-1]} at even steps from {low:.4g} to {high:.4g} {unit}"
                 )
-    return lines
-
-
-def causes_like_errors(result: SearchResult) -> list[str]:
-    """A line for each cause that gains more than the same change of the heating costs as an error of the model, and
-    that would be better than the declared model by that."""
-    lines = []
-    for h in result.hypotheses:
-        if h.admissible and h.score - h.held_back < -POLICY.min_gain < h.score:
-            price = sum(h.log_odds_of_jumps.values())
-            gain = price + 0.5 * h.held_back
-            lines.append(
-                f"{' + '.join(h.names)} gains {gain:.0f} in log evidence, and the same change of the heating costs "
-                f"{price:.0f} as an error of the model that is as large as the rest of it: this record does not "
-                "distinguish them"
-            )
     return lines
 
 

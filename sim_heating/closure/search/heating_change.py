@@ -1,8 +1,6 @@
-"""What an effect does to the heating along a record, and what the model's own error would have to do in its place."""
+"""What an effect does to the heating along a record."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
@@ -42,27 +40,3 @@ def heating_change(trial: TrialFit, candidate: Candidate) -> FloatArray | None:
     if effect.mode == "multiply":
         return factors - 1.0
     return 1.0 / factors - 1.0 if np.all(factors > 0.0) else None
-
-
-def log_odds_of_jumps(trial: TrialFit, candidate: Candidate) -> float:
-    """Price in log evidence of the same change of the heating as an error of the model; infinity where it has none.
-
-        n (d^2 / (4 s^2) + ln(tau / h))
-
-    n jumps of the heating by d, relative, between two values of an error that are independent: their difference is
-    N(0, 2 s^2), s being the size of the error that is left with the effect. In each correlation time tau such an error
-    may jump once, at any of its knots, h apart. A smooth error holds no jump, so that without this price any jump would
-    speak for an effect whose place is free. One whose place is known, as that of jets is, is no such coincidence.
-    Source: docs/theory/model_error.md, equation 5c.
-    """
-    size, error = trial.size, trial.record_fit.model_error
-    if size is None or error is None or size.mean == 0.0 or set(candidate.names) <= set(candidate.with_prior):
-        return math.inf
-    change = heating_change(trial, candidate)
-    if change is None:
-        return math.inf
-    by = float(np.ptp(change))
-    above = change > np.min(change) + 0.5 * by
-    jumps = int(np.count_nonzero(above[1:] != above[:-1]))
-    knot_s = float(error.time_s[1] - error.time_s[0])
-    return jumps * ((by / (2.0 * size.mean)) ** 2 + math.log(max(size.likeliest[1].time_s / knot_s, 1.0)))

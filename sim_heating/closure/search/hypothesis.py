@@ -20,9 +20,8 @@ import numpy as np
 
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
 from sim_heating.closure.search.admissibility import OFF, far_from_declared, objections
-from sim_heating.closure.search.heating_change import log_odds_of_jumps
 from sim_heating.closure.search.joint_model import Cause, JointModel
-from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
+from sim_heating.closure.search.ranking import model_bic, place_penalty, prior_penalty, scatter_price
 from sim_heating.closure.search.simulated_records import with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
@@ -65,8 +64,6 @@ class Hypothesis:
     alone      : score of the explanation that each of several records has by itself, where it is no member; else 0
     shares     : score of each record relative to its declared model; with `common` they add up to the score
     common     : what common parameters, priors and forms add to the score
-    held_back  : what its score lacks of its gain, where that is more than the changes of the heating by its effects
-                 cost as errors of the model [BIC]
     """
 
     trials: tuple[TrialFit, ...]
@@ -79,7 +76,6 @@ class Hypothesis:
     alone: tuple[float, ...] = ()
     shares: tuple[float, ...] = ()
     common: float = 0.0
-    held_back: float = 0.0
 
     @property
     def by_record(self) -> tuple[TrialFit, ...]:
@@ -166,15 +162,6 @@ class Hypothesis:
         counts = [sample_count(t.problem) for t in self.each]
         return float(np.average([t.excess_chi2 for t in self.each], weights=counts))
 
-    @cached_property
-    def log_odds_of_jumps(self) -> dict[str, float]:
-        """Name of an effect -> what its change of the heating costs in log evidence as an error of the model.
-
-        Effects that are no such error have none. Of one record: several records share their errors.
-        """
-        prices = {t.name: log_odds_of_jumps(self.last, t.candidate) for t in self.added}
-        return {name: price for name, price in prices.items() if math.isfinite(price)}
-
     @property
     def log_likelihood(self) -> float:
         """Log likelihood of the fitted samples, of all records [-]."""
@@ -184,7 +171,8 @@ class Hypothesis:
     def penalties(self) -> float:
         """What its values cost by their distances from their priors, and what is common to several records [BIC]."""
         if not self.each:
-            return sum(prior_penalty(self.last, t.candidate) for t in self.trials if t.name != "none")
+            named = [t.candidate for t in self.trials if t.name != "none"]
+            return sum(prior_penalty(self.last, c) + place_penalty(self.last, c) for c in named)
         common = 0.0 if self.model is None else self.model.common_cost(self.last.fit.values)
         return common + self._flight_cost
 
@@ -335,8 +323,7 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     admissible = [h for h in others if h.admissible]
     best = max(admissible, key=lambda h: h.log_likelihood, default=none)
     zero = [model_bic(t, b) for t, b in zip(none.by_record, best.by_record, strict=True)]
-    none_cost, scale = none.penalties + none.price, best.by_record[0].scale
-    counted = _counted_evidence([h for h in (none, *others) if not h.each], scale)
+    none_cost = none.penalties + none.price
 
     def rated(h: Hypothesis) -> Hypothesis:
         bic = [
@@ -344,32 +331,14 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
             model_bic(t, b, h.model.common_names(t.record_fit.record) if h.model else ())
             for i, (t, b) in enumerate(zip(h.by_record, best.by_record, strict=True))
         ]  # fmt: skip
-        held_back = 2.0 * (h.last.log_evidence / scale - counted[h]) if h in counted else 0.0
-        bic[0] += held_back
         shares = [b - z if i in h.members else h.alone[i] for i, (b, z) in enumerate(zip(bic, zero, strict=True))]
         penalties, against = h.penalties, dict.fromkeys((*h.objections, *_not_predicted(none, h, best)))
         return replace(
             h, score=sum(bic) + penalties + h.price - (sum(zero) + none_cost), objections=tuple(against),
-            shares=tuple(shares), common=h.price + penalties - none_cost, held_back=held_back,
+            shares=tuple(shares), common=h.price + penalties - none_cost,
         )  # fmt: skip
 
     return sorted(map(rated, others), key=lambda h: (not h.admissible, h.score))
-
-
-def _counted_evidence(hypotheses: Sequence[Hypothesis], scale: float) -> dict[Hypothesis, float]:
-    """The log evidence of each hypothesis of one record on a scale of residuals, as far as it counts.
-
-    Over the best one without an effect it counts up to what the same change of the heating costs as an error of the
-    model.
-    """
-    counted: dict[Hypothesis, float] = {}
-    for h in sorted(hypotheses, key=lambda h: len(h.names)):
-        limits = [h.last.log_evidence / scale]
-        for name, price in h.log_odds_of_jumps.items():
-            rest = {n for n in h.names if n != name}
-            limits += [max((counted[f] for f in counted if {*f.names} == rest), default=math.inf) + price]
-        counted[h] = min(limits)
-    return counted
 
 
 def _not_predicted(none: Hypothesis, h: Hypothesis, best: Hypothesis) -> list[str]:

@@ -81,7 +81,8 @@ def model_bic(trial: TrialFit, best: TrialFit, common_names: Collection[str] = (
     common_names : of parameters that are in common with other records, which are not counted here
     """
     fit = trial.record_fit
-    held_out = trial.held_out_log_likelihood / best.held_out_scale
+    # samples held out judge a model with an error, and choose none: its evidence is enough
+    held_out = 0.0 if trial.size is not None else trial.held_out_log_likelihood / best.held_out_scale
     # Those with the prior of the table are common to all models; a model that frees one of them has one more.
     counted = [u for u in trial.problem.unknowns if not is_of_table(u.parameter)]
     parameters = sum(u.parameter.name not in {*common_names, *fit.flight_names} for u in counted)
@@ -100,6 +101,25 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
 def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
     """What the estimates of an effect of a trial's model cost by their distances from their priors [BIC]."""
     return sum(map(scatter_price, trial.deviations_of(candidate.with_prior)))
+
+
+def place_penalty(trial: TrialFit, candidate: Candidate) -> float:
+    """What it costs that the place of an effect of a trial's model, such as its onset, was searched for [BIC].
+
+        2 log(D / (sqrt(2 pi) sigma)) - log n,    0 at least
+
+    D from the least to the largest place that the search starts from, sigma what is left of it: the place was in
+    D / (sqrt(2 pi) sigma) others before (Laplace's approximation), of which BIC counts sqrt(n). An error of the heating
+    that starts anew pays for its place as well; an exact model has none.
+    """
+    if not trial.has_error:
+        return 0.0
+    sigma = {
+        n: s for n, s, bound in zip(trial.fit.names, trial.fit.sigma, trial.fit.on_bound, strict=True) if not bound
+    }
+    counted = float(np.log(sample_count(trial.problem)))
+    places = [span / (math.sqrt(2.0 * math.pi) * sigma[n]) for n, span in candidate.spans.items() if sigma.get(n)]
+    return sum(max(2.0 * math.log(place) - counted, 0.0) for place in places if math.isfinite(place) and place > 0.0)
 
 
 def scatter_price(deviation: float) -> float:

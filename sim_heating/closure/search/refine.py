@@ -69,6 +69,8 @@ def _leading(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:
     best = max(gains.values(), default=0.0)
     adequate = any(assess(t.fitted_samples).p_value >= POLICY.adequate_p for t in trials if gains[t.name] == best)
     least = min((POLICY.min_of_adequate if adequate else POLICY.min_of_best) * best, best - POLICY.rival_margin)
+    if base.has_error:  # a jump gains most here, and may be one of the error
+        least = 0.0
     return sorted((t for t in trials if gains[t.name] >= least), key=lambda t: t.delta_bic)[: EFFORT.causes]
 
 

@@ -191,8 +191,7 @@ def _worth_their_causes(none: Hypothesis, rated: Sequence[Hypothesis]) -> list[H
 def _gains_too_little(h: Hypothesis, fewer: Hypothesis) -> str:
     """The objection that a hypothesis gains too little over one with fewer causes."""
     gain = max(0.5 * (fewer.score - h.score), 0.0)
-    error = f", and {0.5 * h.held_back:.0f} more, as an error of the heating could" if h.held_back > 0.0 else ""
-    return f"it gains {gain:.0f} in log evidence over {' + '.join(fewer.names)}{error}: too little for a further cause"
+    return f"it gains {gain:.0f} in log evidence over {' + '.join(fewer.names)}: too little for a further cause"
 
 
 def _stage(progress: Progress, begin: float, end: float, label: str = "") -> Progress:

@@ -14,6 +14,7 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.block import LANES
 from sim_heating.estimation.inference.bounds import ChannelResiduals
+from sim_heating.estimation.inference.breaks import MOST_BREAKS, ReadUnknowns, log_prior, one_more_break
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.model_error import (
     AS_STATED,
@@ -55,6 +56,7 @@ def model_error(
     correlation: Correlation,
     flight: FlightError | None = None,
     noise: HeatingNoise | None = None,
+    knots_s: FloatArray | None = None,
 ) -> ModelError:
     """The error of a record's model with the response of its readings, about the values of a fit.
 
@@ -63,6 +65,7 @@ def model_error(
     sigma, correlation : of the heating's error, s [-] and how far in time it is alike
     flight     : the error of the flight
     noise      : of the heating, from that of the conditions
+    knots_s    : (knot,) of the heating's error [s]; by default evenly spaced
     raises     : RunError where the model cannot be marched
 
     Responses are differences of marches: with the heating, by the flow and by lamps, scaled about one knot after the
@@ -72,7 +75,7 @@ def model_error(
     flown = record_fit.conditions.at(time_s)
     first, last = record_fit.begin_s, float(record_fit.sample_s[-1])
     count = min(max(math.ceil((last - first) / SPACING_S) + 1, 2), MOST_KNOTS)
-    knots = np.linspace(first, last, count)
+    knots = np.linspace(first, last, count) if knots_s is None else knots_s
     histories = [flown, *scaled_heating(flown, knots)]
     T = _marched_K(record_fit, values, [condition_history(h) for h in histories])
     moved = np.moveaxis(T[1:] - T[0], 0, -1) / STEP
@@ -414,6 +417,9 @@ def error_size(
     prior: HeatingErrorPrior,
     scales: Mapping[float, float] = AS_STATED,
     of_flight: BoolArray | None = None,
+    *,
+    may_break: bool = False,
+    held_out: Sequence[PredictedSamples] = (),
 ) -> ErrorSize:
     """What the readings say of the size of the heating's error and of the flight's, about a fitted model.
 
@@ -423,6 +429,8 @@ def error_size(
     prior         : of the size
     scales        : factor on the standard deviations of the flight as stated [-] -> its prior probability [-]
     of_flight     : (parameter,) whether its prior is one of these standard deviations; None for no parameter
+    may_break     : whether the error may start anew at some times, which are sought
+    held_out      : the channels over readings that are not fitted, which count as well
 
     The model is linear in its parameters here, and a rounded reading counts as one with the noise of its rounding. With
     A = R^-1/2 S L / s and the eigenvalues k and eigenvectors V of A' A, the inverse of the covariance that the
@@ -431,10 +439,12 @@ def error_size(
     """
     error = record_fit.model_error
     assert error is not None  # the caller's records have one
-    noise = record_fit.reading_noise_K
+    parts = [part.record_fit for part in (samples[0], *held_out[:1])]
+    samples = [*samples, *held_out]
+    noise = np.concatenate([part.reading_noise_K for part in parts])
     read = np.concatenate([s.channel.intervals.centre_K for s in samples])
     mean_K = np.concatenate([s.mean_K for s in samples])
-    S, F = record_fit.error_responses_K
+    S, F = (np.concatenate(of_parts) for of_parts in zip(*(part.error_responses_K for part in parts), strict=True))
     # parameters that the flight's error has are integrated out with it, and come next to it
     is_clock = np.zeros(len(free), dtype=bool) if of_flight is None else of_flight & free
     order = np.concatenate([np.flatnonzero(is_clock), np.flatnonzero(free & ~is_clock)])
@@ -451,14 +461,16 @@ def error_size(
     wider[:, :directions] = (np.array(list(scales)) / error.flight_scale)[:, np.newaxis]
     wider[:, others:drawn] = np.array(list(scales))[:, np.newaxis]
     sizes, correlations, weights = prior.grid()
-    log_weight = np.log(list(scales.values()))[:, np.newaxis, np.newaxis] + weights
-    log_likelihood = np.empty(log_weight.shape)
+    of_scale = np.log(list(scales.values()))[:, np.newaxis]
     SS, Sr, SJ = S.T @ S, S.T @ r, S.T @ J
-    for i, correlation in enumerate(correlations):
+
+    def likelihood_with(correlation: Correlation) -> FloatArray:
+        """(scale, size) log likelihood [-]."""
         L = correlation.root(error.time_s)
         eigenvalues, V = np.linalg.eigh(L.T @ SS @ L)
         along = V.T @ L.T
         Ar, AJ, squares = along @ Sr, along @ SJ, np.maximum(eigenvalues, 0.0)
+        log_likelihood = np.empty((len(scales), len(sizes)))
         for k, size in enumerate(sizes):
             taken_up = size**2 / (1.0 + size**2 * squares)
             M_read = J.T @ J - (AJ * taken_up[:, np.newaxis]).T @ AJ
@@ -470,5 +482,35 @@ def error_size(
                 step = np.linalg.lstsq(M, g, rcond=None)[0]
                 volume = float(np.linalg.slogdet(M[:drawn, :drawn])[1]) + 2.0 * float(np.sum(np.log(factors)))
                 square = square_read + float(known @ distance**2)
-                log_likelihood[j, i, k] = -0.5 * (square - float(g @ step) + volume)
-    return ErrorSize(sizes, correlations, np.array(list(scales)), log_likelihood, log_weight)
+                log_likelihood[j, k] = -0.5 * (square - float(g @ step) + volume)
+        return log_likelihood
+
+    def broken(correlation: Correlation, now: FloatArray) -> tuple[Correlation, FloatArray]:
+        """A correlation with breaks as long as one more gains, and its (scale, size) log likelihood [-]."""
+        for _ in range(MOST_BREAKS):
+            j, k = np.unravel_index(int(np.argmax(now + of_scale + weights[0])), now.shape)
+            known = information / wider[j] ** 2
+            read = ReadUnknowns(
+                np.block([[J.T @ J + np.diag(known), SJ.T], [SJ, SS]]), np.append(J.T @ r + known * distance, Sr)
+            )
+            gain, further = one_more_break(read, error.time_s, correlation, float(sizes[k]))
+            if gain <= 0.0:
+                break
+            correlation, now = further, likelihood_with(further)
+        return correlation, now
+
+    each, log_likelihoods, log_weights = list[Correlation](), list[FloatArray](), list[FloatArray]()
+    for correlation, weight in zip(correlations, weights, strict=True):
+        entries = {correlation: likelihood_with(correlation)}
+        if may_break and sizes[0] > 0.0:
+            start = error.correlation if error.correlation.time_s == correlation.time_s else correlation
+            entries[start] = likelihood_with(start)
+            entries.update([broken(start, entries[start])])
+        for entry, now in entries.items():
+            each.append(entry)
+            log_likelihoods.append(now)
+            of_breaks = log_prior(error.time_s, entry.breaks_s) if may_break else 0.0
+            log_weights.append(of_scale + weight + of_breaks)
+    return ErrorSize(
+        sizes, tuple(each), np.array(list(scales)), np.stack(log_likelihoods, axis=1), np.stack(log_weights, axis=1)
+    )

@@ -57,12 +57,14 @@ class Correlation:
         exp(-x), or where it is smooth (1 + sqrt(5) x + 5 x^2 / 3) exp(-sqrt(5) x),    x = |t_i - t_j| / tau
 
     time_s : the correlation time tau [s];  smooth : whether the error has no corners
+    breaks_s : times from which on it is independent of what it was before [s], of knots of the error
 
     Source: docs/theory/model_error.md, equations 1 and 1a; the second after B. Matern, Spatial Variation (1960).
     """
 
     time_s: float
     smooth: bool = False
+    breaks_s: tuple[float, ...] = ()
 
     def root(self, at_s: FloatArray) -> FloatArray:
         """(knot, knot) lower root of the correlation matrix of the error at some times [s], [-].
@@ -71,7 +73,9 @@ class Correlation:
         """
         x = np.abs(at_s[:, np.newaxis] - at_s) / self.time_s
         if not self.smooth:
-            return np.asarray(np.linalg.cholesky(np.exp(-x)))
+            part = np.searchsorted(self.breaks_s, at_s, side="right")
+            is_alike = part[:, np.newaxis] == part
+            return np.asarray(np.linalg.cholesky(np.where(is_alike, np.exp(-x), 0.0)))
         y = math.sqrt(5.0) * x
         return np.asarray(np.linalg.cholesky((1.0 + y + y**2 / 3.0) * np.exp(-y) + JITTER * np.eye(len(x))))
 

@@ -54,6 +54,7 @@ class Candidate:
     active     : those that change the prediction at the start
     with_prior : those whose prior counts in the score; a parameter that is started from several values has none
     priors     : parameters that have another prior than the model's or their own, such as a flat one
+    spans      : from the least to the largest value that parameters are started from, where these are several
     """
 
     name: str
@@ -63,6 +64,7 @@ class Candidate:
     active: tuple[str, ...]
     with_prior: tuple[str, ...]
     priors: Mapping[str, Parameter] = field(default_factory=dict)
+    spans: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def model_names(self) -> tuple[str, ...]:
@@ -216,17 +218,17 @@ def _places(effect: Effect, name: str) -> tuple[str, ...]:
     )
 
 
-def _searched_parameters(starts: Sequence[SearchStart]) -> frozenset[str]:
-    """Parameters with several start values."""
+def _searched_parameters(starts: Sequence[SearchStart]) -> dict[str, float]:
+    """Parameters with several start values -> from the least to the largest of these, in the parameter's unit."""
     values: dict[str, set[float]] = {}
     for start in starts:
         for name in set(start.names) & set(start.values):
             values.setdefault(name, set()).add(start.values[name])
-    return frozenset(name for name, first_values in values.items() if len(first_values) > 1)
+    return {name: max(several) - min(several) for name, several in values.items() if len(several) > 1}
 
 
-def _candidate_at(effect: Effect, start: SearchStart, searched: Collection[str]) -> Candidate:
-    """The candidate of an effect at one start, its values within their bounds."""
+def _candidate_at(effect: Effect, start: SearchStart, searched: Mapping[str, float]) -> Candidate:
+    """The candidate of an effect at one start, its values within their bounds; searched : as above."""
     definitions = effect.search_definitions()
     limits = {p.name: (p.lower, p.upper) for p in definitions}
     used = use(effect.name, {name: _within(value, limits[name]) for name, value in start.values.items()})
@@ -236,7 +238,8 @@ def _candidate_at(effect: Effect, start: SearchStart, searched: Collection[str])
     first = {f"{prefix}{p}": values[p] for p in start.names}
     with_prior = tuple(f"{prefix}{p}" for p in start.names if p not in searched)
     active = tuple(f"{prefix}{p}" for p in effect.active_parameters(start.names, values))
-    return Candidate(effect.name, (used,), tuple(first), first, active, with_prior)
+    spans = {f"{prefix}{p}": searched[p] for p in start.names if p in searched}
+    return Candidate(effect.name, (used,), tuple(first), first, active, with_prior, spans=spans)
 
 
 def _within(value: float, limits: tuple[float, float]) -> float:

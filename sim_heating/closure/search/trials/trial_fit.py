@@ -32,6 +32,7 @@ from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.estimation.fit import FitResult, declared_model, estimate, predict_fit, rms_normalised_residual
 from sim_heating.estimation.inference.bounds import ChannelResiduals, spectral_density
+from sim_heating.estimation.inference.breaks import finer_knots
 from sim_heating.estimation.inference.conditions_noise import heating_noise
 from sim_heating.estimation.inference.error_likelihood import (
     ErrorState,
@@ -252,10 +253,17 @@ class TrialFit:
         """Log likelihood of the samples held out, at the estimates; minus infinity where they cannot be marched.
 
         Of a model with an error the parameters are integrated out: what they leave open, the error of a model that has
-        fewer of them leaves open as well.
+        fewer of them leaves open as well. Where the size of the heating's error is, too, it is what all samples have
+        more evidence than the fitted ones: the error may start anew among those held out.
         """
         if self.held_out is None:
             return 0.0
+        prior = heating_error_prior(self.record_fit.record)
+        if self.size is not None and prior is not None and prior.relative > 0.0:
+            try:
+                return _size_of_error(self, prior, may_break=True, with_held_out=True).evidence - self.size.evidence
+            except RunError:
+                return -np.inf
         if self.held_out.record_fits[0].model_error is None:
             total = self.held_out.evaluate(self.fit.values).log_likelihood
         else:
@@ -429,23 +437,27 @@ def with_own_error(trial: TrialFit) -> TrialFit:
     record_fit, prior = trial.record_fit, heating_error_prior(trial.record_fit.record)
     if record_fit.model_error is None or prior is None:
         return trial
-    record = record_fit.record
+    record, now = record_fit.record, record_fit.model_error
     either = [record.fit_mask() | record.holdout_mask()]
-    all_samples = candidate_problem(trial, record_fit, NO_EFFECT, sample_masks=either)
-    try:
+    all_samples = candidate_problem(trial, record_fit, NO_EFFECT, sample_masks=either).record_fits[0]
+
+    def about_it(knots_s: FloatArray | None = None) -> tuple[ModelError, ErrorSize]:
         error = model_error(
-            all_samples.record_fits[0], trial.fit.values, record_fit.model_error.sigma,
-            record_fit.model_error.correlation,
-            record_fit.model_error.flight, record_fit.model_error.heating_noise,
-        )  # fmt: skip
+            all_samples, trial.fit.values, now.sigma, now.correlation, now.flight, now.heating_noise, knots_s
+        )
+        return error, _size_of_error(with_error(trial, error), prior, may_break=True)
+
+    try:
+        error, size = about_it()
+        if breaks_s := size.likeliest[1].breaks_s:
+            error, size = about_it(finer_knots(error.time_s, breaks_s))
     except RunError:
         return trial
     sized = with_error(trial, error)
-    size = _size_of_error(sized, prior)
     sized = fitted_on(with_error(sized, error.of_size(*size.likeliest)), replace(CONVERGE, iterations=40))
     if not np.isfinite(sized.fit.log_likelihood):
         return trial
-    return replace(sized, size=_size_of_error(sized, prior))
+    return replace(sized, size=_size_of_error(sized, prior, may_break=True))
 
 
 def fitted_on(trial: TrialFit, settings: NewtonSettings) -> TrialFit:
@@ -465,8 +477,14 @@ def over_both(trial: TrialFit, changed: Callable[[FitProblem], FitProblem]) -> T
     return replace(trial, problem=changed(trial.problem), held_out=trial.held_out and changed(trial.held_out))
 
 
-def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
-    """What the readings say of the size of the error of a trial's model."""
+def _size_of_error(
+    trial: TrialFit, prior: HeatingErrorPrior, *, may_break: bool = False, with_held_out: bool = False
+) -> ErrorSize:
+    """What the readings say of the size of the error of a trial's model.
+
+    may_break : whether it may start anew;  with_held_out : whether the samples held out count as well
+    raises    : RunError where these cannot be marched
+    """
     parameters = trial.problem.parameters
     information = np.array([p.sigma**-2.0 for p in parameters])
     distance = np.array([p.value for p in parameters]) - trial.fit.values
@@ -476,7 +494,7 @@ def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
     is_clock = np.array([has_one_clock and p.name == CLOCK_SKEW.name for p in parameters])
     return error_size(
         record_fit, samples, (information, distance), ~trial.fit.on_bound, prior, flight_scales(record_fit.record),
-        is_clock,
+        is_clock, may_break=may_break, held_out=trial._held_out_plain if with_held_out else (),
     )  # fmt: skip
 
 

@@ -1,0 +1,115 @@
+"""Times at which the error of a heating starts anew, as that of a trajectory that was put together from arcs.
+
+Between knots k and k + 1, a distance h apart, a first-order Gauss-Markov process of standard deviation s has the
+precision 1 / (s^2 (1 - a^2)) [[a^2, -a], [-a, 1]] with a = exp(-h / tau). Where it starts anew that is 1 / s^2 of the
+later knot alone. One break changes the information of all unknowns at these two knots only, so that its gain in log
+evidence follows from their covariance:
+
+    gain = log(1 - a^2) / 2 - log det(1 + D C) / 2 - m' (1 + D C)^-1 D m / 2,
+    D = a / (s^2 (1 - a^2)) [[-a, 1], [1, -a]],
+
+with C (2, 2) the covariance of the two values and m (2,) their means before. Derived in docs/theory/model_error.md,
+equation 5d.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.estimation.inference.model_error import Correlation
+
+PIECES = 5
+"""Pieces of an interval between knots in which an error starts anew."""
+MOST_BREAKS = 40
+"""Most times at which the error of a record is taken to start anew."""
+
+
+class ReadUnknowns(NamedTuple):
+    """What readings say of the heating's error and of all other unknowns, linear in both.
+
+    information : (unknown, unknown) of the readings and of the priors of the others, the knots' values last, in
+                  equation 5 of docs/theory/model_error.md J' J with S' S
+    score       : (unknown,) at values of 0
+    """
+
+    information: FloatArray
+    score: FloatArray
+
+
+def log_prior(knots_s: FloatArray, breaks_s: Sequence[float]) -> float:
+    """Log probability of breaks in the intervals before some knots, each further one half as probable, wherever it is.
+
+        -(n + 1) log 2 + log n! + sum log(h_i / T)
+
+    knots_s : (knot,) of the error, T from the first to the last [s];  breaks_s : n knots, h_i after the one before [s]
+    """
+    h = np.diff(knots_s)[np.isin(knots_s[1:], breaks_s)]
+    return (
+        -(len(h) + 1) * math.log(2.0) + math.lgamma(len(h) + 1) + float(np.sum(np.log(h / (knots_s[-1] - knots_s[0]))))
+    )
+
+
+def finer_knots(knots_s: FloatArray, breaks_s: Sequence[float]) -> FloatArray:
+    """(knot,) of an error with the intervals before its breaks divided: between knots it is linear, and jumps are not.
+
+    knots_s : (knot,) [s];  breaks_s : of them, those from which on the error is new
+    """
+    later = np.flatnonzero(np.isin(knots_s, breaks_s))
+    within = [np.linspace(knots_s[k - 1], knots_s[k], PIECES + 1) for k in later]
+    return np.unique(np.concatenate([knots_s, *within]))
+
+
+def one_more_break(
+    read: ReadUnknowns, knots_s: FloatArray, correlation: Correlation, sigma: float
+) -> tuple[float, Correlation]:
+    """The gain in log evidence by the likeliest further break, its prior included, and the correlation with it [-].
+
+    knots_s : (knot,) of the error [s];  correlation : as it is, with its breaks;  sigma : of the error [-]
+    """
+    a = np.exp(-np.diff(knots_s) / correlation.time_s)
+    is_broken = np.isin(knots_s[1:], correlation.breaks_s)
+    first = len(read.score) - len(knots_s)
+    information = read.information.copy()
+    knots = np.arange(first, len(read.score))
+    diagonal, beside = precision(np.where(is_broken, 0.0, a))
+    information[knots, knots] += diagonal / sigma**2
+    information[knots[:-1], knots[1:]] += beside / sigma**2
+    information[knots[1:], knots[:-1]] += beside / sigma**2
+    scale = 1.0 / np.sqrt(np.diag(information))
+    covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    mean = covariance @ read.score
+    k = knots[:-1]
+    C = np.stack([covariance[k, k], covariance[k, k + 1], covariance[k, k + 1], covariance[k + 1, k + 1]], axis=-1)
+    C, m = C.reshape(-1, 2, 2), np.stack([mean[k], mean[k + 1]], axis=-1)[..., np.newaxis]
+    D = (a / (sigma**2 * (1.0 - a**2)))[:, np.newaxis, np.newaxis] * np.stack(
+        [np.stack([-a, np.ones_like(a)], axis=-1), np.stack([np.ones_like(a), -a], axis=-1)], axis=-2
+    )
+    inner = np.eye(2) + D @ C
+    volume = np.linalg.det(inner)
+    lost = (np.swapaxes(m, 1, 2) @ np.linalg.solve(inner, D @ m))[:, 0, 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        gain = 0.5 * (np.log1p(-(a**2)) - np.log(volume) - lost)
+    gain = np.where(is_broken | ~np.isfinite(gain), -np.inf, gain)
+    n, h = len(correlation.breaks_s), np.diff(knots_s)
+    gain += np.log(0.5 * (n + 1) * h / (knots_s[-1] - knots_s[0]))
+    best = int(np.argmax(gain))
+    breaks = tuple(sorted((*correlation.breaks_s, float(knots_s[best + 1]))))
+    return float(gain[best]), replace(correlation, breaks_s=breaks)
+
+
+def precision(a: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(knot,) diagonal of the inverse correlation matrix of a first-order process, and (interval,) beside it [-].
+
+    a : (interval,) correlation of neighbouring values, 0 where the process starts anew
+    """
+    inverse = 1.0 / (1.0 - a**2)
+    diagonal = np.ones(len(a) + 1)
+    diagonal[1:] = inverse
+    diagonal[:-1] += a**2 * inverse
+    return diagonal, -a * inverse
