@@ -208,8 +208,7 @@ def used_for_probability(found: SearchResult) -> dict[str, Any]:
         "no_effect": conclusion.best.kind not in ("", "effect"), "statistic": conclusion.best.adequacy.statistic,
         "none_statistic": found.none.adequacy.statistic, "none_p": found.none.adequacy.p_value, "kinds": causes | kinds,
         "hypotheses": [
-            [" + ".join(h.names), h.score, h.excess_chi2, h.adequacy.statistic, list(h.objections), 
-             h.adequacy.p_value]
+            [" + ".join(h.names), h.score, h.excess_chi2, h.adequacy.statistic, list(h.objections), h.adequacy.p_value]
             for h in found.hypotheses[:5]
         ],
     }  # fmt: skip
