@@ -10,6 +10,7 @@ from scipy.linalg import solve_triangular
 from scipy.stats import multivariate_normal
 
 from sim_heating.closure.prior.model_error import flight_error
+from sim_heating.estimation.inference.breaks import ReadUnknowns, log_prior, one_more_break
 from sim_heating.estimation.inference.error_likelihood import (
     error_size,
     innovations,
@@ -228,6 +229,29 @@ def test_flight_error_has_one_likelihood_estimated_or_integrated_out(flown):
     volume = -0.5 * np.linalg.slogdet(M)[1]
     assert largest + volume == pytest.approx(flown.evaluate(scale).log_likelihood, rel=1e-9)
     np.testing.assert_allclose(flown.record_fits[0].model_error.along_flight(flown.errors(scale)[0]), f, atol=1e-6)
+
+
+def test_the_gain_of_a_break_is_that_of_the_dense_covariance(problem):
+    """A first-order error of the heating that starts anew at a knot, and has done so at another one."""
+    part, sigma = problem.record_fits[0], 0.04
+    error, before = part.model_error, Correlation(90.0, breaks_s=(part.model_error.time_s[40],))
+    residual, white = dense(problem, AT)[0], np.diag(part.reading_noise_K**2)
+    S = part.error_responses_K[0]
+
+    def evidence(correlation):
+        root = sigma * S @ correlation.root(error.time_s)
+        return multivariate_normal.logpdf(residual, cov=root @ root.T + white)
+
+    noise = part.reading_noise_K[:, np.newaxis]
+    scaled = S / noise
+    read = ReadUnknowns(scaled.T @ scaled, scaled.T @ (residual / noise[:, 0]))
+    gain, broken = one_more_break(read, error.time_s, before, sigma)
+    assert len(broken.breaks_s) == 2
+    price = log_prior(error.time_s, broken.breaks_s) - log_prior(error.time_s, before.breaks_s)
+    assert gain - price == pytest.approx(evidence(broken) - evidence(before), abs=1e-6)
+    for other in error.time_s[10:60:10]:
+        if other not in broken.breaks_s:
+            assert evidence(replace(before, breaks_s=tuple(sorted({*before.breaks_s, other})))) <= evidence(broken)
 
 
 SCALES = {1.0: 0.68, 2.0: 0.26, 4.0: 0.06}

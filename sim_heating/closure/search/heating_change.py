@@ -13,16 +13,12 @@ from sim_heating.march.ensemble import condition_history
 
 
 def heating_change(trial: TrialFit, candidate: Candidate) -> FloatArray | None:
-    """(sample,) relative change of the heating that an effect acts as, over the samples of its record [-].
+    """(sample,) relative change of the heating by an effect that multiplies it, over the samples of its record [-].
 
-        r - 1 of one that multiplies the heating by r,    1 / f - 1 of one that multiplies the emittance by f
-
-    A surface that radiates what it is heated by, q = f e sigma T^4, has the same temperature with q / f and the
-    emittance e. None for any other effect, for one that depends on what was before, and where the record cannot be
-    marched.
+    None for any other effect, for one that depends on what was before, and where the record cannot be marched.
     """
     effect = effects().get(candidate.name)
-    if effect is None or effect.kernel is None or effect.mode not in ("multiply", "emittance") or effect.lags:
+    if effect is None or effect.kernel is None or effect.mode != "multiply" or effect.lags:
         return None
     used = next(u for u in fitted_effects(trial) if u.effect.name == candidate.name)
     try:
@@ -34,9 +30,7 @@ def heating_change(trial: TrialFit, candidate: Candidate) -> FloatArray | None:
     read = np.isfinite(marched.history.surface_K) & (t >= covered[0]) & (t <= covered[-1])
     flown = condition_history(marched.conditions.at(t[read]))
     wall_K = marched.history.surface_K[read]
-    factors = np.array([
+    factors = [
         effect.kernel(np.array([*row, *used.values]), 0, len(row), T) for row, T in zip(flown, wall_K, strict=True)
-    ] or [1.0])  # fmt: skip
-    if effect.mode == "multiply":
-        return factors - 1.0
-    return 1.0 / factors - 1.0 if np.all(factors > 0.0) else None
+    ]
+    return np.array(factors or [1.0]) - 1.0

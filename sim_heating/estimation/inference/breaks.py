@@ -56,12 +56,13 @@ def log_prior(knots_s: FloatArray, breaks_s: Sequence[float]) -> float:
 
 
 def finer_knots(knots_s: FloatArray, breaks_s: Sequence[float]) -> FloatArray:
-    """(knot,) of an error with the intervals before its breaks divided: between knots it is linear, and jumps are not.
+    """(knot,) of an error with the intervals about its breaks divided: between knots it is linear, and jumps are not.
 
     knots_s : (knot,) [s];  breaks_s : of them, those from which on the error is new
     """
-    later = np.flatnonzero(np.isin(knots_s, breaks_s))
-    within = [np.linspace(knots_s[k - 1], knots_s[k], PIECES + 1) for k in later]
+    broken, last = np.flatnonzero(np.isin(knots_s, breaks_s)), len(knots_s) - 1
+    beside = {k for b in broken.tolist() for k in (b - 1, b, b + 1) if 1 <= k <= last}
+    within = [np.linspace(knots_s[k - 1], knots_s[k], PIECES + 1) for k in beside]
     return np.unique(np.concatenate([knots_s, *within]))
 
 
