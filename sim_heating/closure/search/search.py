@@ -124,10 +124,11 @@ def search_effects(
         hypotheses += search.fitted_on(hypotheses)
         rated = scored(search.none, hypotheses)
     if search.lacks_more(rated):
-        rated = search.further_causes(hypotheses, progress)
-    elif base.has_error:
-        rated = search.beside_an_error(rated, progress)
-    none, rated = _judged(search.none, rated)
+        none, rated = _judged(search.none, search.further_causes(hypotheses, progress))
+    else:
+        none, rated = _judged(search.none, rated)
+        rated = search.beside_an_error(none, rated, progress) if base.has_error else rated
+    rated = _worth_their_causes(none, rated) if base.has_error else rated
     conclusion, curve = conclude(none, rated), None
     if conclusion.finding in ("partly", "unknown"):
         progress(0.95, "a curve against the variable that the residual follows")
@@ -138,14 +139,19 @@ def search_effects(
 def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, list[Hypothesis]]:
     """The declared model and the leading hypotheses, each with the error of the model that the record says it has.
 
-    Until here all have one error, of middling size, and with the response about the declared model.
+    Until here all have one error, of middling size at most, and with the response about the declared model.
     """
     if none.last.record_fit.model_error is None:
         return none, list(rated)
-    leading = [*_leading(rated), *[h for h in rated if not h.admissible][: EFFORT.compared]]
-    trials = in_processes([partial(trial_fit.with_own_error, h.last) for h in (none, *leading)])
-    none, *judged = (fitted_anew(h, trial) for h, trial in zip((none, *leading), trials, strict=True))
-    return none, _worth_their_causes(none, scored(none, judged))
+    leading = [*_leading(rated), *[h for h in rated if not h.admissible][: EFFORT.rivals]]
+    none, *judged = _with_own_errors([none, *leading])
+    return none, scored(none, judged)
+
+
+def _with_own_errors(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses with the error of the model that the record says each has, fitted on."""
+    trials = in_processes([partial(trial_fit.with_own_error, h.last) for h in hypotheses])
+    return [fitted_anew(h, trial) for h, trial in zip(hypotheses, trials, strict=True)]
 
 
 def _leading(rated: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -306,18 +312,26 @@ class _Search:
             rated = _accepted(self.none, models)
         return rated
 
-    def beside_an_error(self, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
+    def beside_an_error(self, none: Hypothesis, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
         """Hypotheses of a model with an error with those of one cause more, and again of one more, best first.
+
+        none, rated : the declared model and those of one cause, each with its own error
 
         The error takes up what further causes leave, so that the first one explains the record: whether there are more
         is told by the odds alone.
         """
         models = list(rated)
-        for stage in (_stage(progress, 0.5, 0.7, "two effects"), _stage(progress, 0.7, 0.9, "three effects")):
+        for stage in (_stage(progress, 0.6, 0.75, "two effects"), _stage(progress, 0.75, 0.9, "three effects")):
             best = next((h for h in models if h.admissible), None)
-            if best is None or best.change is not None or best.score > -POLICY.min_gain:
+            if best is None or best.change is not None or best.score > -least_gain(none):
                 break
-            models = scored(self.none, [*models, *self.with_one_more([list(best.trials)], stage)])
+            near = [
+                h for h in models
+                if h.admissible and h.change is None and len(h.names) == len(best.names)
+                and h.score <= best.score + POLICY.set_margin
+            ]  # fmt: skip
+            more = self.with_one_more([list(h.trials) for h in near[: EFFORT.starts]], stage)
+            models = scored(none, [*models, *_with_own_errors(more)])
             if len(models[0].names) <= len(best.names):
                 break
         return models
