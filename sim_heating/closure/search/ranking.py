@@ -10,7 +10,7 @@ Selection and Multimodel Inference, 2nd ed., sec. 2.5). The score adds
 - two for the logarithm of the number of forms of an effect, and the price of the sigmas by which magnitudes are off
   their priors (scatter_price): many forms, and values that nobody would expect, have their price;
 - -2 log L / c of the segments held out, at the values found without them, with the c of the best model there: how well
-  a form extends beyond the data that it was fitted to.
+  a form extends beyond the data that it was fitted to. They judge a model whose heating has an error, and choose none.
 """
 
 from __future__ import annotations
@@ -110,7 +110,8 @@ def place_penalty(trial: TrialFit, candidate: Candidate) -> float:
 
     D from the least to the largest place that the search starts from, sigma what is left of it: the place was in
     D / (sqrt(2 pi) sigma) others before (Laplace's approximation), of which BIC counts sqrt(n). An error of the heating
-    that starts anew pays for its place as well; an exact model has none.
+    that starts anew pays for its place as well; an exact model has none. Source: docs/theory/model_error.md, equation
+    5e.
     """
     if not trial.has_error:
         return 0.0

@@ -48,6 +48,8 @@ def log_prior(knots_s: FloatArray, breaks_s: Sequence[float]) -> float:
         -(n + 1) log 2 + log n! + sum log(h_i / T)
 
     knots_s : (knot,) of the error, T from the first to the last [s];  breaks_s : n knots, h_i after the one before [s]
+
+    Source: docs/theory/model_error.md, equation 5c.
     """
     h = np.diff(knots_s)[np.isin(knots_s[1:], breaks_s)]
     return (
@@ -59,6 +61,8 @@ def finer_knots(knots_s: FloatArray, breaks_s: Sequence[float]) -> FloatArray:
     """(knot,) of an error with the intervals about its breaks divided: between knots it is linear, and jumps are not.
 
     knots_s : (knot,) [s];  breaks_s : of them, those from which on the error is new
+
+    Source: docs/theory/model_error.md, equation 5d and what follows it.
     """
     broken, last = np.flatnonzero(np.isin(knots_s, breaks_s)), len(knots_s) - 1
     beside = {k for b in broken.tolist() for k in (b - 1, b, b + 1) if 1 <= k <= last}
@@ -72,6 +76,8 @@ def one_more_break(
     """The gain in log evidence by the likeliest further break, its prior included, and the correlation with it [-].
 
     knots_s : (knot,) of the error [s];  correlation : as it is, with its breaks;  sigma : of the error [-]
+
+    Source: docs/theory/model_error.md, equations 5c and 5d.
     """
     a = np.exp(-np.diff(knots_s) / correlation.time_s)
     is_broken = np.isin(knots_s[1:], correlation.breaks_s)
@@ -108,6 +114,8 @@ def precision(a: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(knot,) diagonal of the inverse correlation matrix of a first-order process, and (interval,) beside it [-].
 
     a : (interval,) correlation of neighbouring values, 0 where the process starts anew
+
+    Source: the inverse of exp(-|t_i - t_j| / tau) of docs/theory/model_error.md, equation 1, which is tridiagonal.
     """
     inverse = 1.0 / (1.0 - a**2)
     diagonal = np.ones(len(a) + 1)
