@@ -28,6 +28,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,16 +197,19 @@ class RecordFit:
         return F @ np.array([values[n] for n in self.flight_names]), F
 
     @cached_property
-    def error_factor(self) -> tuple[FloatArray, float]:
-        """(unknown, unknown) lower root of 1 + G' R^-1 G [-], and minus half the logarithm of its determinant [-].
+    def error_modes(self) -> ErrorModes | None:
+        """What the readings see of the error of the model; None without an error.
 
-        R is the noise of the readings, whatever the prediction, so that both are the same for all models of a record.
+        R is the noise of the readings, whatever the prediction, so that it is the same for all models of a record.
         Source: docs/theory/model_error.md, equation 3.
         """
-        assert self.error_root_K is not None  # asked for with an error only
+        if self.error_root_K is None:
+            return None
         scaled = self.error_root_K / self.reading_noise_K[:, np.newaxis]
-        root: FloatArray = np.asarray(np.linalg.cholesky(np.eye(scaled.shape[1]) + scaled.T @ scaled))
-        return root, -float(np.sum(np.log(np.diag(root))))
+        variance, modes = np.linalg.eigh(scaled.T @ scaled)
+        is_seen = variance > LEAST_SEEN**2
+        modes = modes[:, is_seen]
+        return ErrorModes(modes, self.error_root_K @ modes, np.sqrt(1.0 + variance[is_seen]))
 
     @cached_property
     def reading_noise_K(self) -> FloatArray:
@@ -384,6 +388,30 @@ class RecordFit:
         return self.values(vector).get(PRESSURE_FACTOR.name, self.record.pressure_factor[0])
 
 
+LEAST_SEEN = 1e-4
+"""Least standard deviation that a direction of the error gives the readings, over their noise, to count [-]."""
+
+
+class ErrorModes(NamedTuple):
+    """Orthogonal directions of the error's unknowns u that the readings see, which are N(0, 1) as u is.
+
+    basis  : (unknown, mode) eigenvectors V of G' R^-1 G [-]
+    root_K : (reading, mode) G V [K]
+    scale  : (mode,) roots of the eigenvalues of 1 + G' R^-1 G [-]
+
+    G and R of docs/theory/model_error.md, equation 3.
+    """
+
+    basis: FloatArray
+    root_K: FloatArray
+    scale: FloatArray
+
+    @property
+    def volume(self) -> float:
+        """Minus half the logarithm of the determinant of 1 + G' R^-1 G [-]: docs/theory/model_error.md, equation 3."""
+        return -float(np.sum(np.log(self.scale)))
+
+
 def take_error(record_fit: RecordFit, other: RecordFit) -> None:
     """Give a record the error of another fit's model, with its roots where both have the same readings.
 
@@ -397,7 +425,7 @@ def take_error(record_fit: RecordFit, other: RecordFit) -> None:
         return
     places, others = ([(c.number, r.sample_s[c.samples].tolist()) for c in r.channels] for r in (record_fit, other))
     if places == others and np.array_equal(record_fit.reading_noise_K, other.reading_noise_K):
-        record_fit.error_root_K, record_fit.error_factor = other.error_root_K, other.error_factor
+        record_fit.error_root_K, record_fit.error_modes = other.error_root_K, other.error_modes
 
 
 @dataclass(frozen=True)

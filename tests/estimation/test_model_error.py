@@ -106,7 +106,10 @@ def test_the_error_is_the_most_probable_one_whatever_the_width_of_a_word(of_word
     part.sigma_K.update({c.number: c.sensor.lsb_K / width for c in part.channels})
     found = scored_readings(part, [s.mean_K for s in of_words.samples(AT)])
     # the score of the sum in units of the standard deviations of u
-    left = np.linalg.solve(part.error_factor[0], part.error_root_K.T @ found.score - found.error)
+    G = part.error_root_K
+    scaled = G / part.reading_noise_K[:, np.newaxis]
+    lower = np.linalg.cholesky(np.eye(G.shape[1]) + scaled.T @ scaled)
+    left = np.linalg.solve(lower, G.T @ found.score - found.error)
     assert np.linalg.norm(left) < 0.01
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag, cho_solve, solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
@@ -173,7 +173,7 @@ class ScoredReadings:
     """The likelihood of the readings of one record at some predictions, the error of the model integrated out.
 
     log_likelihood : [-];  score : (reading,) [1/K];  weight : (reading,) information W of the readings [1/K2]
-    root           : (reading, unknown) G of the error [K]; None without an error
+    root           : (reading, mode) G of the error along the directions that the readings see [K]; None without one
     error          : (unknown,) the most probable u [-]; empty without an error
     """
 
@@ -220,37 +220,41 @@ def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> Sco
     Optimization, 2nd ed., algorithm 7.4). Source: docs/theory/model_error.md, equations 3 and 4; without an error
     docs/theory/estimation_statistics.md, equations 3 to 6.
     """
-    G = record_fit.error_root_K
-    if G is None:
+    modes = record_fit.error_modes
+    if modes is None or record_fit.error_root_K is None:
         return ScoredReadings(*_scored(record_fit, means_K))
+    G = modes.root_K
     ends = np.cumsum([len(m) for m in means_K])[:-1]
 
     def at(u: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         total, score, weight = _scored(record_fit, [m + d for m, d in zip(means_K, np.split(G @ u, ends), strict=True)])
         return total - 0.5 * float(u @ u), score, weight
 
-    # in x = C' u, with the lower root C of 1 + G' R^-1 G, the sum has a curvature near that of the identity
-    lower, volume = record_fit.error_factor
+    # along the modes, in units of their scales, the sum has a curvature near that of the identity
+    scale, volume = modes.scale, modes.volume
     u = np.zeros(G.shape[1])
     total, score, weight = at(u)
     if not np.isfinite(total):
-        return ScoredReadings(total + volume, score, weight, G, u)
-    history, gradient = _Steps([], []), solve_triangular(lower, G.T @ score - u, lower=True)
+        return ScoredReadings(total + volume, score, weight, G, modes.basis @ u)
+    history, gradient = _Steps([], []), (G.T @ score - u) / scale
     for _ in range(MOST_STEPS):
         step = history.ascent(gradient)
-        moved = u + solve_triangular(lower, step, lower=True, trans="T")
+        moved = u + step / scale
         there = at(moved)
         # the sum is concave in u: a shorter step raises it
         while there[0] < total and np.linalg.norm(step) > SETTLED:
             step = 0.5 * step
-            moved = u + solve_triangular(lower, step, lower=True, trans="T")
+            moved = u + step / scale
             there = at(moved)
         u, (total, score, weight), before = moved, there, gradient
         if np.linalg.norm(step) < SETTLED:
             break
-        gradient = solve_triangular(lower, G.T @ score - u, lower=True)
+        gradient = (G.T @ score - u) / scale
         history.add(step, before - gradient)
-    return ScoredReadings(total + volume, score, weight, G, u)
+    # directions that the readings hardly see follow from the score
+    full = record_fit.error_root_K.T @ score
+    V = modes.basis
+    return ScoredReadings(total + volume, score, weight, G, full + V @ (u - V.T @ full))
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,9 +321,11 @@ def innovations(
     A rounded reading counts as one with the noise of its rounding. A reading at an end of a word's span in any set
     informs none. Source: docs/theory/model_error.md, equation 6.
     """
-    G, noise = record_fit.error_root_K, record_fit.reading_noise_K
-    if G is None:
+    G, modes, noise = record_fit.error_root_K, record_fit.error_modes, record_fit.reading_noise_K
+    if G is None or modes is None:
         return list(samples), None
+    is_first = state is None and root_K is None  # nothing was read before, and only what these readings see changes
+    G = modes.root_K if is_first else G
     means = [s.mean_K for s in samples]
     mean_K = np.concatenate(means)
     read = np.concatenate([s.channel.intervals.centre_K for s in samples])
@@ -351,6 +357,9 @@ def innovations(
     ends = np.cumsum(list(map(len, means)))[:-1]
     means, sigmas = np.split(predicted.reshape(shape), ends), np.split(np.sqrt(np.maximum(variance, 0.0)), ends)
     channels = [replace(s, mean_K=m, predicted_sigma_K=d) for s, m, d in zip(samples, means, sigmas, strict=True)]
+    if is_first:
+        V = modes.basis
+        u, P = V @ u, np.eye(len(V)) + V @ (P - np.eye(V.shape[1])) @ V.T
     return channels, ErrorState(u, P)
 
 
@@ -366,13 +375,14 @@ def parameter_root_K(
     Source: docs/theory/model_error.md, equation 6a.
     """
     here, there = fitted[0].record_fit, others[0].record_fit
-    G = here.error_root_K
-    assert G is not None  # the caller's records have an error
+    modes = here.error_modes
+    assert modes is not None  # the caller's records have an error
     assert there.error_root_K is not None
     known = np.diag(covariance) > 0.0
     known &= np.isfinite(np.diag(covariance))
     J, J_there = (np.concatenate([s.jacobian[:, known] for s in samples]) for samples in (fitted, others))
-    K_J = cho_solve((here.error_factor[0], True), G.T @ (J / here.reading_noise_K[:, np.newaxis] ** 2))
+    seen = modes.root_K.T @ (J / here.reading_noise_K[:, np.newaxis] ** 2)
+    K_J = modes.basis @ (seen / modes.scale[:, np.newaxis] ** 2)
     scale = np.sqrt(np.diag(covariance)[known])
     values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)] / np.outer(scale, scale))
     root = scale[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
@@ -463,20 +473,21 @@ def error_size(
     sizes, correlations, weights = prior.grid()
     of_scale = np.log(list(scales.values()))[:, np.newaxis]
     SS, Sr, SJ = S.T @ S, S.T @ r, S.T @ J
+    JJ, Jr, rr = J.T @ J, J.T @ r, float(r @ r)
 
-    def likelihood_with(correlation: Correlation) -> FloatArray:
-        """(scale, size) log likelihood [-]."""
+    def likelihood_with(correlation: Correlation, chosen: Sequence[int]) -> FloatArray:
+        """(chosen scale, size) log likelihood [-]."""
         L = correlation.root(error.time_s)
         eigenvalues, V = np.linalg.eigh(L.T @ SS @ L)
         along = V.T @ L.T
         Ar, AJ, squares = along @ Sr, along @ SJ, np.maximum(eigenvalues, 0.0)
-        log_likelihood = np.empty((len(scales), len(sizes)))
+        log_likelihood = np.empty((len(chosen), len(sizes)))
         for k, size in enumerate(sizes):
             taken_up = size**2 / (1.0 + size**2 * squares)
-            M_read = J.T @ J - (AJ * taken_up[:, np.newaxis]).T @ AJ
-            g_read = J.T @ r - AJ.T @ (taken_up * Ar)
-            square_read = float(r @ r - Ar @ (taken_up * Ar)) + float(np.sum(np.log1p(size**2 * squares)))
-            for j, factors in enumerate(wider):
+            M_read = JJ - (AJ * taken_up[:, np.newaxis]).T @ AJ
+            g_read = Jr - AJ.T @ (taken_up * Ar)
+            square_read = float(rr - Ar @ (taken_up * Ar)) + float(np.sum(np.log1p(size**2 * squares)))
+            for j, factors in enumerate(wider[list(chosen)]):
                 known = information / factors**2
                 M, g = M_read + np.diag(known), g_read + known * distance
                 step = np.linalg.lstsq(M, g, rcond=None)[0]
@@ -485,27 +496,27 @@ def error_size(
                 log_likelihood[j, k] = -0.5 * (square - float(g @ step) + volume)
         return log_likelihood
 
-    def broken(correlation: Correlation, now: FloatArray) -> tuple[Correlation, FloatArray]:
-        """A correlation with breaks as long as one more gains, and its (scale, size) log likelihood [-]."""
+    def broken(correlation: Correlation, now: FloatArray) -> Correlation:
+        """A correlation with breaks as long as one more gains; now : (scale, size) log likelihood with it [-]."""
+        j = int(np.argmax(np.max(now + of_scale + weights[0], axis=1)))
+        known, now = information / wider[j] ** 2, now[[j]]
+        read = ReadUnknowns(np.block([[JJ + np.diag(known), SJ.T], [SJ, SS]]), np.append(Jr + known * distance, Sr))
         for _ in range(MOST_BREAKS):
-            j, k = np.unravel_index(int(np.argmax(now + of_scale + weights[0])), now.shape)
-            known = information / wider[j] ** 2
-            read = ReadUnknowns(
-                np.block([[J.T @ J + np.diag(known), SJ.T], [SJ, SS]]), np.append(J.T @ r + known * distance, Sr)
-            )
-            gain, further = one_more_break(read, error.time_s, correlation, float(sizes[k]))
+            size = float(sizes[np.argmax(now[0] + weights[0])])
+            gain, further = one_more_break(read, error.time_s, correlation, size)
             if gain <= 0.0:
                 break
-            correlation, now = further, likelihood_with(further)
-        return correlation, now
+            correlation, now = further, likelihood_with(further, [j])
+        return correlation
 
+    every = range(len(scales))
     each, log_likelihoods, log_weights = list[Correlation](), list[FloatArray](), list[FloatArray]()
     for correlation, weight in zip(correlations, weights, strict=True):
-        entries = {correlation: likelihood_with(correlation)}
+        entries = {correlation: likelihood_with(correlation, every)}
         if may_break and sizes[0] > 0.0:
             start = error.correlation if error.correlation.time_s == correlation.time_s else correlation
-            entries[start] = likelihood_with(start)
-            entries.update([broken(start, entries[start])])
+            for entry in (start, broken(start, entries.setdefault(start, likelihood_with(start, every)))):
+                entries.setdefault(entry, likelihood_with(entry, every))
         for entry, now in entries.items():
             each.append(entry)
             log_likelihoods.append(now)
