@@ -254,14 +254,14 @@ def with_jumping_error(record, jumps):
 
 
 def test_an_error_that_starts_anew_is_told_by_when_it_does():
-    """The heating of a flight is off by other amounts from 600 and from 900 s on, as one of three arcs."""
+    """The heating of a flight is off by other amounts from 600 and from 800 s on, as one of three arcs."""
     record = unrounded(load_record(RECORDS / "practice" / "p06"))
     smooth, jumping = (
         with_own_error(base_trial(declared_fit(with_jumping_error(record, jumps))))
-        for jumps in ((), ((600.0, 0.06), (900.0, -0.05)))
+        for jumps in ((), ((600.0, 0.06), (800.0, -0.05)))
     )
     assert smooth.record_fit.model_error.correlation.breaks_s == ()
-    np.testing.assert_allclose(jumping.record_fit.model_error.correlation.breaks_s, (600.0, 900.0), atol=5.0)
+    np.testing.assert_allclose(jumping.record_fit.model_error.correlation.breaks_s, (600.0, 800.0), atol=5.0)
     of_breaks = np.array([len(c.breaks_s) for c in jumping.size.correlations])
     posterior = jumping.size.posterior_of_heating.sum(axis=1)
     assert np.sum(posterior[of_breaks == 0]) < 1e-6
