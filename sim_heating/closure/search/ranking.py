@@ -10,7 +10,8 @@ Selection and Multimodel Inference, 2nd ed., sec. 2.5). The score adds
 - two for the logarithm of the number of forms of an effect, and the price of the sigmas by which magnitudes are off
   their priors (scatter_price): many forms, and values that nobody would expect, have their price;
 - -2 log L / c of the segments held out, at the values found without them, with the c of the best model there: how well
-  a form extends beyond the data that it was fitted to. They judge a model whose heating has an error, and choose none.
+  a form extends beyond the data that it was fitted to. They judge a model whose heating or flight has an error, and
+  choose none.
 """
 
 from __future__ import annotations

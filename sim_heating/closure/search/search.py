@@ -128,7 +128,8 @@ def search_effects(
     else:
         none, rated = _judged(search.none, rated)
         rated = search.beside_an_error(none, rated, progress) if base.has_error else rated
-    rated = _worth_their_causes(none, rated) if base.has_error else rated
+    if none.last.record_fit.model_error is not None:
+        rated = _worth_their_causes(none, rated)
     conclusion, curve = conclude(none, rated), None
     if conclusion.finding in ("partly", "unknown"):
         progress(0.95, "a curve against the variable that the residual follows")

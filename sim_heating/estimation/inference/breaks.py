@@ -20,8 +20,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.estimation.inference.model_error import Correlation
 
 PIECES = 5
@@ -51,10 +52,17 @@ def log_prior(knots_s: FloatArray, breaks_s: Sequence[float]) -> float:
 
     Source: docs/theory/model_error.md, equation 5c.
     """
-    h = np.diff(knots_s)[np.isin(knots_s[1:], breaks_s)]
-    return (
-        -(len(h) + 1) * math.log(2.0) + math.lgamma(len(h) + 1) + float(np.sum(np.log(h / (knots_s[-1] - knots_s[0]))))
-    )
+    log_odds = _log_odds_of_further(knots_s, np.arange(len(breaks_s)), np.isin(knots_s[1:], breaks_s))
+    return -math.log(2.0) + float(np.sum(log_odds))
+
+
+def _log_odds_of_further(knots_s: FloatArray, before: NDArray[np.int64] | int, chosen: BoolArray | slice) -> FloatArray:
+    """(interval,) log prior odds of a further break in some intervals between knots, over none there [-].
+
+    knots_s : (knot,) of the error [s];  before : breaks there are besides;  chosen : of the intervals
+    """
+    h = np.diff(knots_s)[chosen]
+    return np.asarray(np.log(0.5 * (before + 1) * h / (knots_s[-1] - knots_s[0])))
 
 
 def finer_knots(knots_s: FloatArray, breaks_s: Sequence[float]) -> FloatArray:
@@ -103,8 +111,7 @@ def one_more_break(
     with np.errstate(invalid="ignore", divide="ignore"):
         gain = 0.5 * (np.log1p(-(a**2)) - np.log(volume) - lost)
     gain = np.where(is_broken | ~np.isfinite(gain), -np.inf, gain)
-    n, h = len(correlation.breaks_s), np.diff(knots_s)
-    gain += np.log(0.5 * (n + 1) * h / (knots_s[-1] - knots_s[0]))
+    gain += _log_odds_of_further(knots_s, len(correlation.breaks_s), slice(None))
     best = int(np.argmax(gain))
     breaks = tuple(sorted((*correlation.breaks_s, float(knots_s[best + 1]))))
     return float(gain[best]), replace(correlation, breaks_s=breaks)

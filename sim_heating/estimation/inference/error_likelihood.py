@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
@@ -475,7 +475,8 @@ def error_size(
     SS, Sr, SJ = S.T @ S, S.T @ r, S.T @ J
     JJ, Jr, rr = J.T @ J, J.T @ r, float(r @ r)
 
-    def likelihood_with(correlation: Correlation, chosen: Sequence[int]) -> FloatArray:
+    @cache
+    def likelihood_with(correlation: Correlation, chosen: tuple[int, ...]) -> FloatArray:
         """(chosen scale, size) log likelihood [-]."""
         L = correlation.root(error.time_s)
         eigenvalues, V = np.linalg.eigh(L.T @ SS @ L)
@@ -506,20 +507,19 @@ def error_size(
             gain, further = one_more_break(read, error.time_s, correlation, size)
             if gain <= 0.0:
                 break
-            correlation, now = further, likelihood_with(further, [j])
+            correlation, now = further, likelihood_with(further, (j,))
         return correlation
 
-    every = range(len(scales))
+    every = tuple(range(len(scales)))
     each, log_likelihoods, log_weights = list[Correlation](), list[FloatArray](), list[FloatArray]()
     for correlation, weight in zip(correlations, weights, strict=True):
-        entries = {correlation: likelihood_with(correlation, every)}
+        entries = [correlation]
         if may_break and sizes[0] > 0.0:
             start = error.correlation if error.correlation.time_s == correlation.time_s else correlation
-            for entry in (start, broken(start, entries.setdefault(start, likelihood_with(start, every)))):
-                entries.setdefault(entry, likelihood_with(entry, every))
-        for entry, now in entries.items():
+            entries += [start, broken(start, likelihood_with(start, every))]
+        for entry in dict.fromkeys(entries):
             each.append(entry)
-            log_likelihoods.append(now)
+            log_likelihoods.append(likelihood_with(entry, every))
             of_breaks = log_prior(error.time_s, entry.breaks_s) if may_break else 0.0
             log_weights.append(of_scale + weight + of_breaks)
     return ErrorSize(
