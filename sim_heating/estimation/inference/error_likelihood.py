@@ -47,6 +47,8 @@ MEMORY = 8
 """Steps that the curvature of the inner iteration is taken from."""
 TOGETHER = 64
 """Readings that the filter takes at a time."""
+STAYS = 20.0
+"""Correlation time of an error that stays as it is until it starts anew, over the longest of its prior [-]."""
 
 
 def model_error(
@@ -512,6 +514,9 @@ def error_size(
 
     every = tuple(range(len(scales)))
     each, log_likelihoods, log_weights = list[Correlation](), list[FloatArray](), list[FloatArray]()
+    if may_break and len(correlations) > 1:  # what starts anew may stay as it is until then
+        weights = np.vstack([weights, weights[-1]]) - math.log(1.0 + 1.0 / len(correlations))
+        correlations = (*correlations, Correlation(STAYS * prior.longest_s))
     for correlation, weight in zip(correlations, weights, strict=True):
         entries = [correlation]
         if may_break and sizes[0] > 0.0:

@@ -154,7 +154,7 @@ class TrialFit:
         prior = stated_error(self.record_fit.record).heating
         if self.size is None or prior is None:
             return None
-        return _size_of_error(self, replace(prior, may_be_smooth=False))
+        return _size_of_error(self, replace(prior, may_be_smooth=False), may_break=True)
 
     @property
     def log_evidence(self) -> float:
