@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.estimation.inference.error_likelihood import error_size, model_error
+from sim_heating.estimation.inference.error_likelihood import model_error
+from sim_heating.estimation.inference.error_size import error_size
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, StatedError
 from sim_heating.estimation.problem import FitProblem
 

@@ -10,14 +10,14 @@ from scipy.linalg import solve_triangular
 from scipy.stats import multivariate_normal
 
 from sim_heating.closure.prior.model_error import flight_error
-from sim_heating.estimation.inference.breaks import ReadUnknowns, log_prior, one_more_break
+from sim_heating.estimation.inference.breaks import ReadError, log_prior, with_breaks
 from sim_heating.estimation.inference.error_likelihood import (
-    error_size,
     innovations,
     model_error,
     parameter_root_K,
     scored_readings,
 )
+from sim_heating.estimation.inference.error_size import error_size
 from sim_heating.estimation.inference.likelihood import log_likelihood
 from sim_heating.estimation.inference.model_error import Correlation, HeatingErrorPrior
 from sim_heating.estimation.problem import FitProblem
@@ -234,27 +234,27 @@ def test_flight_error_has_one_likelihood_estimated_or_integrated_out(flown):
     np.testing.assert_allclose(flown.record_fits[0].model_error.along_flight(flown.errors(scale)[0]), f, atol=1e-6)
 
 
-def test_the_gain_of_a_break_is_that_of_the_dense_covariance(problem):
-    """A first-order error of the heating that starts anew at a knot, and has done so at another one."""
+def test_the_gain_of_breaks_is_that_of_the_dense_covariance(problem):
+    """A first-order error of the heating that starts anew at two knots, one of which is known."""
     part, sigma = problem.record_fits[0], 0.04
     error, before = part.model_error, Correlation(90.0, breaks_s=(part.model_error.time_s[40],))
-    residual, white = dense(problem, AT)[0], np.diag(part.reading_noise_K**2)
-    S = part.error_responses_K[0]
+    white, S = np.diag(part.reading_noise_K**2), part.error_responses_K[0]
+    residual = dense(problem, AT)[0] + S @ np.where(error.time_s >= error.time_s[60], 0.08, 0.0)
 
     def evidence(correlation):
         root = sigma * S @ correlation.root(error.time_s)
-        return multivariate_normal.logpdf(residual, cov=root @ root.T + white)
+        price = log_prior(error.time_s, correlation.breaks_s)
+        return multivariate_normal.logpdf(residual, cov=root @ root.T + white) + price
 
     noise = part.reading_noise_K[:, np.newaxis]
     scaled = S / noise
-    read = ReadUnknowns(scaled.T @ scaled, scaled.T @ (residual / noise[:, 0]))
-    gain, broken = one_more_break(read, error.time_s, before, sigma)
-    assert len(broken.breaks_s) == 2
-    price = log_prior(error.time_s, broken.breaks_s) - log_prior(error.time_s, before.breaks_s)
-    assert gain - price == pytest.approx(evidence(broken) - evidence(before), abs=1e-6)
+    read = ReadError(scaled.T @ scaled, scaled.T @ (residual / noise[:, 0]))
+    gain, broken = with_breaks(read, error.time_s, before, sigma)
+    assert {error.time_s[60], *before.breaks_s} <= set(broken.breaks_s)
+    assert gain == pytest.approx(evidence(broken) - evidence(before), abs=1e-6)
     for other in error.time_s[10:60:10]:
         if other not in broken.breaks_s:
-            assert evidence(replace(before, breaks_s=tuple(sorted({*before.breaks_s, other})))) <= evidence(broken)
+            assert evidence(replace(broken, breaks_s=tuple(sorted({*broken.breaks_s, other})))) <= evidence(broken)
 
 
 SCALES = {1.0: 0.68, 2.0: 0.26, 4.0: 0.06}

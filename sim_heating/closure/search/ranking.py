@@ -79,11 +79,12 @@ def scored_trials(base: TrialFit, trials: Sequence[TrialFit], forms: Mapping[str
 def model_bic(trial: TrialFit, best: TrialFit, common_names: Collection[str] = ()) -> float:
     """BIC of a whole model with the segments held out, residuals on the scale of those of the best model.
 
+    best         : of the models that are compared; where it has an error of a size of its own, samples held out judge
+                   models and choose none
     common_names : of parameters that are in common with other records, which are not counted here
     """
     fit = trial.record_fit
-    # samples held out judge a model with an error, and choose none: its evidence is enough
-    held_out = 0.0 if trial.size is not None else trial.held_out_log_likelihood / best.held_out_scale
+    held_out = 0.0 if best.size is not None else trial.held_out_log_likelihood / best.held_out_scale
     # Those with the prior of the table are common to all models; a model that frees one of them has one more.
     counted = [u for u in trial.problem.unknowns if not is_of_table(u.parameter)]
     parameters = sum(u.parameter.name not in {*common_names, *fit.flight_names} for u in counted)

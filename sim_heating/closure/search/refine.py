@@ -66,11 +66,11 @@ def fit_converged(
 def _leading(base: TrialFit, trials: Sequence[TrialFit]) -> list[TrialFit]:
     """The trials of a round that may be the cause, one of two causes, or a rival, the lowest BIC first."""
     gains = {t.name: t.fit.log_likelihood - base.fit.log_likelihood for t in trials}
-    best = max(gains.values(), default=0.0)
-    adequate = any(assess(t.fitted_samples).p_value >= POLICY.adequate_p for t in trials if gains[t.name] == best)
-    least = min((POLICY.min_of_adequate if adequate else POLICY.min_of_best) * best, best - POLICY.rival_margin)
-    if base.has_error:  # a jump gains most here, and may be one of the error
-        least = 0.0
+    least = 0.0  # beside an error a jump gains most, and may be one of the error
+    if not base.has_error:
+        best = max(gains.values(), default=0.0)
+        adequate = any(assess(t.fitted_samples).p_value >= POLICY.adequate_p for t in trials if gains[t.name] == best)
+        least = min((POLICY.min_of_adequate if adequate else POLICY.min_of_best) * best, best - POLICY.rival_margin)
     return sorted((t for t in trials if gains[t.name] >= least), key=lambda t: t.delta_bic)[: EFFORT.causes]
 
 

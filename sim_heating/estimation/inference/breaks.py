@@ -31,12 +31,10 @@ MOST_BREAKS = 40
 """Most times at which the error of a record is taken to start anew."""
 
 
-class ReadUnknowns(NamedTuple):
-    """What readings say of the heating's error and of all other unknowns, linear in both.
+class ReadError(NamedTuple):
+    """What readings say of the values of the heating's error at its knots, all other unknowns integrated out.
 
-    information : (unknown, unknown) of the readings and of the priors of the others, the knots' values last, in
-                  equation 5 of docs/theory/model_error.md J' J with S' S
-    score       : (unknown,) at values of 0
+    information : (knot, knot) of the readings;  score : (knot,) at values of 0
     """
 
     information: FloatArray
@@ -78,54 +76,60 @@ def finer_knots(knots_s: FloatArray, breaks_s: Sequence[float]) -> FloatArray:
     return np.unique(np.concatenate([knots_s, *within]))
 
 
-def one_more_break(
-    read: ReadUnknowns, knots_s: FloatArray, correlation: Correlation, sigma: float
+def with_breaks(
+    read: ReadError, knots_s: FloatArray, correlation: Correlation, sigma: float
 ) -> tuple[float, Correlation]:
-    """The gain in log evidence by the likeliest further break, its prior included, and the correlation with it [-].
+    """The gain in log evidence by further breaks, their prior included, and the correlation with them [-].
 
     knots_s : (knot,) of the error [s];  correlation : as it is, with its breaks;  sigma : of the error [-]
+
+    The likeliest break is added as long as it gains. It changes the information by E D E', with E (knot, 2) the two
+    knots beside it, and the covariance P of the knots by -P E (1 + D C)^-1 D E' P.
 
     Source: docs/theory/model_error.md, equations 5c and 5d.
     """
     a = np.exp(-np.diff(knots_s) / correlation.time_s)
-    is_broken = np.isin(knots_s[1:], correlation.breaks_s)
-    first = len(read.score) - len(knots_s)
-    information = read.information.copy()
-    knots = np.arange(first, len(read.score))
-    diagonal, beside = precision(np.where(is_broken, 0.0, a))
-    information[knots, knots] += diagonal / sigma**2
-    information[knots[:-1], knots[1:]] += beside / sigma**2
-    information[knots[1:], knots[:-1]] += beside / sigma**2
-    scale = 1.0 / np.sqrt(np.diag(information))
-    covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    mean = covariance @ read.score
-    k = knots[:-1]
-    C = np.stack([covariance[k, k], covariance[k, k + 1], covariance[k, k + 1], covariance[k + 1, k + 1]], axis=-1)
-    C, m = C.reshape(-1, 2, 2), np.stack([mean[k], mean[k + 1]], axis=-1)[..., np.newaxis]
     D = (a / (sigma**2 * (1.0 - a**2)))[:, np.newaxis, np.newaxis] * np.stack(
         [np.stack([-a, np.ones_like(a)], axis=-1), np.stack([np.ones_like(a), -a], axis=-1)], axis=-2
     )
-    inner = np.eye(2) + D @ C
-    volume = np.linalg.det(inner)
-    lost = (np.swapaxes(m, 1, 2) @ np.linalg.solve(inner, D @ m))[:, 0, 0]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        gain = 0.5 * (np.log1p(-(a**2)) - np.log(volume) - lost)
-    gain = np.where(is_broken | ~np.isfinite(gain), -np.inf, gain)
-    gain += _log_odds_of_further(knots_s, len(correlation.breaks_s), slice(None))
-    best = int(np.argmax(gain))
-    breaks = tuple(sorted((*correlation.breaks_s, float(knots_s[best + 1]))))
-    return float(gain[best]), replace(correlation, breaks_s=breaks)
+    is_broken = np.isin(knots_s[1:], correlation.breaks_s)
+    P = _covariance(read.information, np.where(is_broken, 0.0, a), sigma)
+    mean, gained = P @ read.score, 0.0
+    before, k = np.arange(len(a)), np.arange(1, len(a) + 1)
+    for count in range(len(correlation.breaks_s), MOST_BREAKS):
+        C = np.stack([P[before, before], P[before, k], P[before, k], P[k, k]], axis=-1).reshape(-1, 2, 2)
+        m = np.stack([mean[:-1], mean[1:]], axis=-1)[..., np.newaxis]
+        change = np.linalg.solve(np.eye(2) + D @ C, D)
+        lost = (np.swapaxes(m, 1, 2) @ change @ m)[:, 0, 0]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            gain = 0.5 * (np.log1p(-(a**2)) - np.log(np.linalg.det(np.eye(2) + D @ C)) - lost)
+        gain = np.where(is_broken | ~np.isfinite(gain), -np.inf, gain) + _log_odds_of_further(
+            knots_s, count, slice(None)
+        )
+        best = int(np.argmax(gain))
+        if gain[best] <= 0.0:
+            break
+        gained += float(gain[best])
+        is_broken[best] = True
+        beside = P[:, best : best + 2]
+        mean = mean - beside @ (change[best] @ m[best, :, 0])
+        P = P - beside @ change[best] @ beside.T
+    return gained, replace(correlation, breaks_s=tuple(knots_s[1:][is_broken].tolist()))
 
 
-def precision(a: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(knot,) diagonal of the inverse correlation matrix of a first-order process, and (interval,) beside it [-].
+def _covariance(information: FloatArray, a: FloatArray, sigma: float) -> FloatArray:
+    """(knot, knot) covariance of a first-order error of the standard deviation sigma [-], given readings.
 
-    a : (interval,) correlation of neighbouring values, 0 where the process starts anew
+    information : (knot, knot) of the readings;  a : (interval,) correlation of neighbouring values, 0 at a break [-]
 
-    Source: the inverse of exp(-|t_i - t_j| / tau) of docs/theory/model_error.md, equation 1, which is tridiagonal.
+    Source: the inverse of docs/theory/model_error.md, equation 1, which is tridiagonal.
     """
-    inverse = 1.0 / (1.0 - a**2)
-    diagonal = np.ones(len(a) + 1)
-    diagonal[1:] = inverse
-    diagonal[:-1] += a**2 * inverse
-    return diagonal, -a * inverse
+    inverse = 1.0 / (sigma**2 * (1.0 - a**2))
+    total, knots = information.copy(), np.arange(len(a) + 1)
+    total[knots[0], knots[0]] += sigma**-2.0
+    total[knots[1:], knots[1:]] += inverse
+    total[knots[:-1], knots[:-1]] += a**2 * inverse
+    total[knots[:-1], knots[1:]] -= a * inverse
+    total[knots[1:], knots[:-1]] -= a * inverse
+    scale = 1.0 / np.sqrt(np.diag(total))
+    return np.asarray(np.linalg.inv(total * np.outer(scale, scale)) * np.outer(scale, scale))

@@ -1,11 +1,11 @@
-"""Likelihood, innovations and size of the error of a record's model: the algebra of inference/model_error.py."""
+"""Likelihood and innovations of a record whose model has an error: the algebra of inference/model_error.py."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
@@ -14,15 +14,11 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.block import LANES
 from sim_heating.estimation.inference.bounds import ChannelResiduals
-from sim_heating.estimation.inference.breaks import MOST_BREAKS, ReadUnknowns, log_prior, one_more_break
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.model_error import (
-    AS_STATED,
     CorrelatedNoise,
     Correlation,
-    ErrorSize,
     FlightError,
-    HeatingErrorPrior,
     HeatingNoise,
     ModelError,
 )
@@ -47,8 +43,6 @@ MEMORY = 8
 """Steps that the curvature of the inner iteration is taken from."""
 TOGETHER = 64
 """Readings that the filter takes at a time."""
-STAYS = 20.0
-"""Correlation time of an error that stays as it is until it starts anew, over the longest of its prior [-]."""
 
 
 def model_error(
@@ -419,114 +413,3 @@ def whitened(record_fit: RecordFit, samples: Sequence[PredictedSamples], free: B
         name = f"{record_fit.record.name}/{s.channel.sensor.name}"
         residuals.append(ChannelResiduals(name, time_s[order][rows], residual, np.ones(len(residual)), sensitivity))
     return residuals
-
-
-def error_size(
-    record_fit: RecordFit,
-    samples: Sequence[PredictedSamples],
-    towards_prior: tuple[FloatArray, FloatArray],
-    free: BoolArray,
-    prior: HeatingErrorPrior,
-    scales: Mapping[float, float] = AS_STATED,
-    of_flight: BoolArray | None = None,
-    *,
-    may_break: bool = False,
-    held_out: Sequence[PredictedSamples] = (),
-) -> ErrorSize:
-    """What the readings say of the size of the heating's error and of the flight's, about a fitted model.
-
-    record_fit    : the record with its error;  samples : its channels at the values of the fit, with sensitivities
-    towards_prior : (parameter,) prior information of the parameters, and the distance of the means of their priors
-    free          : (parameter,) whether a parameter may move from its value
-    prior         : of the size
-    scales        : factor on the standard deviations of the flight as stated [-] -> its prior probability [-]
-    of_flight     : (parameter,) whether its prior is one of these standard deviations; None for no parameter
-    may_break     : whether the error may start anew at some times, which are sought
-    held_out      : the channels over readings that are not fitted, which count as well
-
-    The model is linear in its parameters here, and a rounded reading counts as one with the noise of its rounding. With
-    A = R^-1/2 S L / s and the eigenvalues k and eigenvectors V of A' A, the inverse of the covariance that the
-    heating's error gives, 1 + s^2 A A', is 1 - A V diag(s^2 / (1 + s^2 k)) V' A'; that of the flight is integrated out
-    with the parameters. Source: docs/theory/model_error.md, equations 5 and 5a.
-    """
-    error = record_fit.model_error
-    assert error is not None  # the caller's records have one
-    parts = [part.record_fit for part in (samples[0], *held_out[:1])]
-    samples = [*samples, *held_out]
-    noise = np.concatenate([part.reading_noise_K for part in parts])
-    read = np.concatenate([s.channel.intervals.centre_K for s in samples])
-    mean_K = np.concatenate([s.mean_K for s in samples])
-    S, F = (np.concatenate(of_parts) for of_parts in zip(*(part.error_responses_K for part in parts), strict=True))
-    # parameters that the flight's error has are integrated out with it, and come next to it
-    is_clock = np.zeros(len(free), dtype=bool) if of_flight is None else of_flight & free
-    order = np.concatenate([np.flatnonzero(is_clock), np.flatnonzero(free & ~is_clock)])
-    sensitivity = np.concatenate([s.sensitivity for s in samples])[:, order]
-    is_read = np.isfinite(read)
-    noise_K = noise[is_read, np.newaxis]
-    r, S = (read - mean_K)[is_read] / noise[is_read], S[is_read] / noise_K
-    J = np.column_stack([F[is_read], sensitivity[is_read]]) / noise_K
-    others, clocks = F.shape[1], int(np.count_nonzero(is_clock))
-    drawn, directions = others + clocks, error.flight_K.shape[-1] - len(record_fit.flight_names)
-    information = np.append(np.ones(others), towards_prior[0][order])
-    distance = np.append(np.zeros(others), towards_prior[1][order])
-    wider = np.ones((len(scales), len(information)))
-    wider[:, :directions] = (np.array(list(scales)) / error.flight_scale)[:, np.newaxis]
-    wider[:, others:drawn] = np.array(list(scales))[:, np.newaxis]
-    sizes, correlations, weights = prior.grid()
-    of_scale = np.log(list(scales.values()))[:, np.newaxis]
-    SS, Sr, SJ = S.T @ S, S.T @ r, S.T @ J
-    JJ, Jr, rr = J.T @ J, J.T @ r, float(r @ r)
-
-    @cache
-    def likelihood_with(correlation: Correlation, chosen: tuple[int, ...]) -> FloatArray:
-        """(chosen scale, size) log likelihood [-]."""
-        L = correlation.root(error.time_s)
-        eigenvalues, V = np.linalg.eigh(L.T @ SS @ L)
-        along = V.T @ L.T
-        Ar, AJ, squares = along @ Sr, along @ SJ, np.maximum(eigenvalues, 0.0)
-        log_likelihood = np.empty((len(chosen), len(sizes)))
-        for k, size in enumerate(sizes):
-            taken_up = size**2 / (1.0 + size**2 * squares)
-            M_read = JJ - (AJ * taken_up[:, np.newaxis]).T @ AJ
-            g_read = Jr - AJ.T @ (taken_up * Ar)
-            square_read = float(rr - Ar @ (taken_up * Ar)) + float(np.sum(np.log1p(size**2 * squares)))
-            for j, factors in enumerate(wider[list(chosen)]):
-                known = information / factors**2
-                M, g = M_read + np.diag(known), g_read + known * distance
-                step = np.linalg.lstsq(M, g, rcond=None)[0]
-                volume = float(np.linalg.slogdet(M[:drawn, :drawn])[1]) + 2.0 * float(np.sum(np.log(factors)))
-                square = square_read + float(known @ distance**2)
-                log_likelihood[j, k] = -0.5 * (square - float(g @ step) + volume)
-        return log_likelihood
-
-    def broken(correlation: Correlation, now: FloatArray) -> Correlation:
-        """A correlation with breaks as long as one more gains; now : (scale, size) log likelihood with it [-]."""
-        j = int(np.argmax(np.max(now + of_scale + weights[0], axis=1)))
-        known, now = information / wider[j] ** 2, now[[j]]
-        read = ReadUnknowns(np.block([[JJ + np.diag(known), SJ.T], [SJ, SS]]), np.append(Jr + known * distance, Sr))
-        for _ in range(MOST_BREAKS):
-            size = float(sizes[np.argmax(now[0] + weights[0])])
-            gain, further = one_more_break(read, error.time_s, correlation, size)
-            if gain <= 0.0:
-                break
-            correlation, now = further, likelihood_with(further, (j,))
-        return correlation
-
-    every = tuple(range(len(scales)))
-    each, log_likelihoods, log_weights = list[Correlation](), list[FloatArray](), list[FloatArray]()
-    if may_break and len(correlations) > 1:  # what starts anew may stay as it is until then
-        weights = np.vstack([weights, weights[-1]]) - math.log(1.0 + 1.0 / len(correlations))
-        correlations = (*correlations, Correlation(STAYS * prior.longest_s))
-    for correlation, weight in zip(correlations, weights, strict=True):
-        entries = [correlation]
-        if may_break and sizes[0] > 0.0:
-            start = error.correlation if error.correlation.time_s == correlation.time_s else correlation
-            entries += [start, broken(start, likelihood_with(start, every))]
-        for entry in dict.fromkeys(entries):
-            each.append(entry)
-            log_likelihoods.append(likelihood_with(entry, every))
-            of_breaks = log_prior(error.time_s, entry.breaks_s) if may_break else 0.0
-            log_weights.append(of_scale + weight + of_breaks)
-    return ErrorSize(
-        sizes, tuple(each), np.array(list(scales)), np.stack(log_likelihoods, axis=1), np.stack(log_weights, axis=1)
-    )

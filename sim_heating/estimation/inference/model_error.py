@@ -71,13 +71,19 @@ class Correlation:
 
         L / s of docs/theory/model_error.md, equation 1.
         """
+        return np.asarray(np.linalg.cholesky(self.matrix(at_s)))
+
+    def matrix(self, at_s: FloatArray) -> FloatArray:
+        """(knot, knot) correlation matrix of the error at some times [s], [-].
+
+        L L' / s^2 of docs/theory/model_error.md, equation 1, and that of equation 1a.
+        """
         x = np.abs(at_s[:, np.newaxis] - at_s) / self.time_s
         if not self.smooth:
             part = np.searchsorted(self.breaks_s, at_s, side="right")
-            is_alike = part[:, np.newaxis] == part
-            return np.asarray(np.linalg.cholesky(np.where(is_alike, np.exp(-x), 0.0)))
+            return np.where(part[:, np.newaxis] == part, np.exp(-x), 0.0)
         y = math.sqrt(5.0) * x
-        return np.asarray(np.linalg.cholesky((1.0 + y + y**2 / 3.0) * np.exp(-y) + JITTER * np.eye(len(x))))
+        return np.asarray((1.0 + y + y**2 / 3.0) * np.exp(-y) + JITTER * np.eye(len(x)))
 
 
 @dataclass(frozen=True)

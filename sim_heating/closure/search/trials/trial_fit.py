@@ -36,12 +36,12 @@ from sim_heating.estimation.inference.breaks import finer_knots
 from sim_heating.estimation.inference.conditions_noise import heating_noise
 from sim_heating.estimation.inference.error_likelihood import (
     ErrorState,
-    error_size,
     innovations,
     model_error,
     noise_error,
     parameter_root_K,
 )
+from sim_heating.estimation.inference.error_size import error_size
 from sim_heating.estimation.inference.likelihood import likelihood, log_likelihood
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
@@ -279,9 +279,10 @@ class TrialFit:
     @cached_property
     def held_out_chi2(self) -> float:
         """Reduced chi-square of the samples held out; 0 where there are none, or they cannot be marched."""
-        if self.held_out is None or self.held_out_log_likelihood == -np.inf:
+        try:
+            return rms_normalised_residual(self.held_out_samples) ** 2 if self.held_out is not None else 0.0
+        except RunError:
             return 0.0
-        return rms_normalised_residual(self.held_out_samples) ** 2
 
     def __repr__(self) -> str:
         name = self.name if self.change is None else self.change.describe(self.value)

@@ -1,0 +1,224 @@
+"""What readings say of the size of the error of their model, about a fitted model that is linear in its parameters.
+
+With the residuals r, the sensitivities J and the responses S to the heating's error, all over the noise, S = Q B' has
+as many orthonormal columns Q as the readings distinguish. The covariance C of equation 5 of docs/theory/model_error.md
+is then 1 + s^2 Q K Q', with K = B' R B and R the correlation matrix of the knots. Its eigenvalues k and eigenvectors V
+give
+
+    C^-1 = (1 - Q Q') + Q V diag(1 / (1 + s^2 k)) V' Q',
+
+two parts that are both positive, so that nothing is lost where the error takes up nearly all of a residual.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.estimation.inference.breaks import ReadError, log_prior, with_breaks
+from sim_heating.estimation.inference.model_error import AS_STATED, Correlation, ErrorSize, HeatingErrorPrior
+from sim_heating.estimation.record_fit import LEAST_SEEN, PredictedSamples, RecordFit
+
+STAYS = 20.0
+"""Correlation time of an error that stays as it is until it starts anew, over the longest of its prior [-]."""
+JITTER = 4.0 * float(np.finfo(float).eps)
+"""Added to the diagonal of a scaled information for each of its unknowns, which no reading may tell [-]."""
+
+
+def error_size(
+    record_fit: RecordFit,
+    samples: Sequence[PredictedSamples],
+    towards_prior: tuple[FloatArray, FloatArray],
+    free: BoolArray,
+    prior: HeatingErrorPrior,
+    scales: Mapping[float, float] = AS_STATED,
+    of_flight: BoolArray | None = None,
+    *,
+    may_break: bool = False,
+    held_out: Sequence[PredictedSamples] = (),
+) -> ErrorSize:
+    """What the readings say of the size of the heating's error and of the flight's, about a fitted model.
+
+    record_fit    : the record with its error;  samples : its channels at the values of the fit, with sensitivities
+    towards_prior : (parameter,) prior information of the parameters, and the distance of the means of their priors
+    free          : (parameter,) whether a parameter may move from its value
+    prior         : of the size
+    scales        : factor on the standard deviations of the flight as stated [-] -> its prior probability [-]
+    of_flight     : (parameter,) whether its prior is one of these standard deviations; None for no parameter
+    may_break     : whether the error may start anew at some times, which are sought
+    held_out      : the channels over readings that are not fitted, which count as well
+
+    The model is linear in its parameters here, and a rounded reading counts as one with the noise of its rounding.
+    Source: docs/theory/model_error.md, equations 5, 5a, 5c and 5d.
+    """
+    error = record_fit.model_error
+    assert error is not None  # the caller's records have one
+    sizes, correlations, weights = prior.grid()
+    seen = _seen(record_fit, samples, held_out, towards_prior, free, scales, of_flight, sizes)
+    may_break &= sizes[0] > 0.0
+    if may_break and len(correlations) > 1:  # what starts anew may stay as it is until then
+        weights = np.vstack([weights, weights[-1]]) - math.log(1.0 + 1.0 / len(correlations))
+        correlations = (*correlations, Correlation(STAYS * prior.longest_s))
+    of_scale = np.log(list(scales.values()))[:, np.newaxis]
+    entries: dict[Correlation, tuple[FloatArray, FloatArray]] = {}
+    for correlation, weight in zip(correlations, weights, strict=True):
+        of_prior = of_scale + weight
+        if not may_break:
+            entries[correlation] = seen.log_likelihood(correlation), of_prior
+            continue
+        start = error.correlation if error.correlation.time_s == correlation.time_s else correlation
+        for entry in (correlation, start, seen.with_breaks(start, of_prior)):
+            if entry not in entries:
+                entries[entry] = seen.log_likelihood(entry), of_prior + log_prior(error.time_s, entry.breaks_s)
+    likelihoods, of_priors = zip(*entries.values(), strict=True)
+    return ErrorSize(
+        sizes, tuple(entries), np.array(list(scales)), np.stack(likelihoods, axis=1), np.stack(of_priors, axis=1)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _SeenError:
+    """Readings as far as they tell of the heating's error and of all other unknowns, both over the noise.
+
+    knots_s : (knot,) of the heating's error [s];  sizes : (size,) its standard deviations [-]
+    root    : (knot, mode) B;  residual : (mode,) Q' r;  others : (mode, unknown) Q' J
+    beside  : (unknown, unknown), (unknown,) and a number: J' J, J' r and r' r of what is orthogonal to Q
+    known   : (scale, unknown) information of the priors of the others;  distance : (unknown,) of their means
+    drawn   : of the others, those that are the error's: the first ones;  log_scale : (scale,) sum of the logarithms of
+              the factors on their standard deviations [-]
+
+    Source: docs/theory/model_error.md, equation 5.
+    """
+
+    knots_s: FloatArray
+    sizes: FloatArray
+    root: FloatArray
+    residual: FloatArray
+    others: FloatArray
+    beside: tuple[FloatArray, FloatArray, float]
+    known: FloatArray
+    distance: FloatArray
+    drawn: int
+    log_scale: FloatArray
+    _log_likelihoods: dict[Correlation, FloatArray] = field(default_factory=dict, init=False)
+
+    def log_likelihood(self, correlation: Correlation) -> FloatArray:
+        """(scale, size) log likelihood, largest over the parameters, the errors integrated out [-]; worked out once.
+
+        Source: docs/theory/model_error.md, equation 5.
+        """
+        if correlation not in self._log_likelihoods:
+            self._log_likelihoods[correlation] = self._log_likelihood(correlation)
+        return self._log_likelihoods[correlation]
+
+    def _log_likelihood(self, correlation: Correlation) -> FloatArray:
+        """(scale, size) as `log_likelihood`."""
+        eigenvalues, V = np.linalg.eigh(self.root.T @ correlation.matrix(self.knots_s) @ self.root)
+        added = self.sizes[:, np.newaxis] ** 2 * np.maximum(eigenvalues, 0.0)
+        left = 1.0 / (1.0 + added)
+        r, J = V.T @ self.residual, V.T @ self.others
+        JJ, Jr, rr = self.beside
+        M_read, g_read = JJ + (J.T * left[:, np.newaxis]) @ J, Jr + (left * r) @ J
+        square_read = rr + left @ r**2 + np.sum(np.log1p(added), axis=1)
+        known = self.known[:, np.newaxis]  # (scale, size, unknown)
+        square = square_read + known @ self.distance**2
+        lower = _root(M_read + known[..., np.newaxis] * np.eye(len(Jr)))
+        gained = np.linalg.solve(lower, (g_read + known * self.distance)[..., np.newaxis])[..., 0]
+        of_drawn = np.log(np.diagonal(lower, axis1=-2, axis2=-1))[..., : self.drawn]
+        volume = 2.0 * (np.sum(of_drawn, axis=-1) + self.log_scale[:, np.newaxis])
+        return np.asarray(-0.5 * (square - np.sum(gained**2, axis=-1) + volume))
+
+    def with_breaks(self, correlation: Correlation, log_weight: FloatArray) -> Correlation:
+        """A correlation with breaks as long as one more gains, at its most probable size.
+
+        log_weight : (scale, size) of the prior of both [-]
+
+        Source: docs/theory/model_error.md, equations 5c and 5d.
+        """
+        searched = -1
+        while True:
+            posterior = self.log_likelihood(correlation) + log_weight
+            j, k = np.unravel_index(int(np.argmax(posterior)), posterior.shape)
+            if k == searched:
+                return correlation
+            gained, correlation = with_breaks(self._read[j], self.knots_s, correlation, float(self.sizes[k]))
+            if gained == 0.0:
+                return correlation
+            searched = k
+
+    @cached_property
+    def _read(self) -> list[ReadError]:
+        """(scale,) what the readings say of the values at the knots, all else integrated out: equation 5d."""
+        JJ, Jr, _ = self.beside
+        each, X = [], self.others
+        for known in self.known:
+            lower = _root(JJ + X.T @ X + np.diag(known))
+            white = np.linalg.solve(lower, X.T)
+            mean = np.linalg.solve(lower, Jr + X.T @ self.residual + known * self.distance)
+            of_readings = np.eye(len(X)) - white.T @ white
+            information = self.root @ of_readings @ self.root.T
+            each.append(ReadError(information, self.root @ (self.residual - white.T @ mean)))
+        return each
+
+
+def _root(information: FloatArray) -> FloatArray:
+    """(..., unknown, unknown) lower roots of informations, each scaled to a diagonal of 1 for it."""
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    count = information.shape[-1]
+    scaled = information / (scale[..., np.newaxis] * scale[..., np.newaxis, :]) + count * JITTER * np.eye(count)
+    return np.asarray(scale[..., np.newaxis] * np.linalg.cholesky(scaled))
+
+
+def _seen(
+    record_fit: RecordFit,
+    samples: Sequence[PredictedSamples],
+    held_out: Sequence[PredictedSamples],
+    towards_prior: tuple[FloatArray, FloatArray],
+    free: BoolArray,
+    scales: Mapping[float, float],
+    of_flight: BoolArray | None,
+    sizes: FloatArray,
+) -> _SeenError:
+    """What the readings tell of both errors, with the arguments of `error_size` and (size,) sizes of the heating's [-].
+
+    Directions of the heating's error that its largest size moves by less than `LEAST_SEEN` of the noise are left out.
+    """
+    error = record_fit.model_error
+    assert error is not None  # the caller's records have one
+    parts = [part.record_fit for part in (samples[0], *held_out[:1])]
+    samples = [*samples, *held_out]
+    noise = np.concatenate([part.reading_noise_K for part in parts])
+    read = np.concatenate([s.channel.intervals.centre_K for s in samples])
+    mean_K = np.concatenate([s.mean_K for s in samples])
+    S, F = (np.concatenate(of_parts) for of_parts in zip(*(part.error_responses_K for part in parts), strict=True))
+    # parameters that the flight's error has are integrated out with it, and come next to it
+    is_clock = np.zeros(len(free), dtype=bool) if of_flight is None else of_flight & free
+    order = np.concatenate([np.flatnonzero(is_clock), np.flatnonzero(free & ~is_clock)])
+    sensitivity = np.concatenate([s.sensitivity for s in samples])[:, order]
+    is_read = np.isfinite(read)
+    noise_K = noise[is_read, np.newaxis]
+    r, S = (read - mean_K)[is_read] / noise[is_read], S[is_read] / noise_K
+    J = np.column_stack([F[is_read], sensitivity[is_read]]) / noise_K
+    others, directions = F.shape[1], error.flight_K.shape[-1] - len(record_fit.flight_names)
+    drawn = others + int(np.count_nonzero(is_clock))
+    factors = np.array(list(scales))[:, np.newaxis]
+    wider = np.ones((len(scales), J.shape[1]))
+    wider[:, :directions] = factors / error.flight_scale
+    wider[:, others:drawn] = factors
+    Q, values, W = np.linalg.svd(S, full_matrices=False)
+    is_seen = values * math.sqrt(len(error.time_s)) * sizes[-1] > LEAST_SEEN
+    Q, B = Q[:, is_seen], W[is_seen].T * values[is_seen]
+    Qr, QJ = Q.T @ r, Q.T @ J
+    r, J = r - Q @ Qr, J - Q @ QJ
+    return _SeenError(
+        knots_s=error.time_s, sizes=sizes, root=B, residual=Qr, others=QJ, beside=(J.T @ J, J.T @ r, float(r @ r)),
+        known=np.append(np.ones(others), towards_prior[0][order]) / wider**2,
+        distance=np.append(np.zeros(others), towards_prior[1][order]),
+        drawn=drawn, log_scale=np.sum(np.log(wider), axis=1),
+    )  # fmt: skip
