@@ -66,11 +66,11 @@ def _log_odds_of_further(knots_s: FloatArray, before: NDArray[np.int64] | int, c
 def finer_knots(knots_s: FloatArray, breaks_s: Sequence[float]) -> FloatArray:
     """(knot,) of an error with the intervals about its breaks divided: between knots it is linear, and jumps are not.
 
-    knots_s : (knot,) [s];  breaks_s : of them, those from which on the error is new
+    knots_s : (knot,) [s];  breaks_s : from which on the error is new, at knots or between them [s]
 
     Source: docs/theory/model_error.md, equation 5d and what follows it.
     """
-    broken, last = np.flatnonzero(np.isin(knots_s, breaks_s)), len(knots_s) - 1
+    broken, last = np.searchsorted(knots_s, breaks_s), len(knots_s) - 1
     beside = {k for b in broken.tolist() for k in (b - 1, b, b + 1) if 1 <= k <= last}
     within = [np.linspace(knots_s[k - 1], knots_s[k], PIECES + 1) for k in beside]
     return np.unique(np.concatenate([knots_s, *within]))

@@ -69,9 +69,7 @@ def model_error(
     """
     time_s = record_fit.time_s
     flown = record_fit.conditions.at(time_s)
-    first, last = record_fit.begin_s, float(record_fit.sample_s[-1])
-    count = min(max(math.ceil((last - first) / SPACING_S) + 1, 2), MOST_KNOTS)
-    knots = np.linspace(first, last, count) if knots_s is None else knots_s
+    knots = even_knots_s(record_fit) if knots_s is None else knots_s
     histories = [flown, *scaled_heating(flown, knots)]
     T = _marched_K(record_fit, values, [condition_history(h) for h in histories])
     moved = np.moveaxis(T[1:] - T[0], 0, -1) / STEP
@@ -80,6 +78,15 @@ def model_error(
         knots, record_fit.sample_s, moved, of_flight, flight, sigma, correlation,
         _correlated_noise(record_fit), noise, None if noise is None else _white_K(record_fit, values, noise),
     )  # fmt: skip
+
+
+def even_knots_s(record_fit: RecordFit) -> FloatArray:
+    """(knot,) evenly spaced knots of the error of a record's heating [s].
+
+    Source: docs/theory/model_error.md, equation 1.
+    """
+    first, last = record_fit.begin_s, float(record_fit.sample_s[-1])
+    return np.linspace(first, last, min(max(math.ceil((last - first) / SPACING_S) + 1, 2), MOST_KNOTS))
 
 
 def scaled_heating(flown: Conditions, knots_s: FloatArray) -> list[Conditions]:

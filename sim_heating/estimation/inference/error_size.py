@@ -26,6 +26,8 @@ from sim_heating.estimation.record_fit import LEAST_SEEN, PredictedSamples, Reco
 
 STAYS = 20.0
 """Correlation time of an error that stays as it is until it starts anew, over the longest of its prior [-]."""
+SIZES_APART = 2
+"""Places in the grid of sizes from one at which breaks are sought to the next."""
 JITTER = 4.0 * float(np.finfo(float).eps)
 """Added to the diagonal of a scaled information for each of its unknowns, which no reading may tell [-]."""
 
@@ -134,22 +136,22 @@ class _SeenError:
         return np.asarray(-0.5 * (square - np.sum(gained**2, axis=-1) + volume))
 
     def with_breaks(self, correlation: Correlation, log_weight: FloatArray) -> Correlation:
-        """A correlation with breaks as long as one more gains, at its most probable size.
+        """A correlation with breaks as long as one more gains, at the size at which both gain most.
 
         log_weight : (scale, size) of the prior of both [-]
 
-        Source: docs/theory/model_error.md, equations 5c and 5d.
+        With breaks a smaller size is more probable. They are sought at the most probable one without them, and at
+        smaller ones as long as that is better. Source: docs/theory/model_error.md, equations 5c and 5d.
         """
-        searched = -1
-        while True:
-            posterior = self.log_likelihood(correlation) + log_weight
-            j, k = np.unravel_index(int(np.argmax(posterior)), posterior.shape)
-            if k == searched:
-                return correlation
-            gained, correlation = with_breaks(self._read[j], self.knots_s, correlation, float(self.sizes[k]))
-            if gained == 0.0:
-                return correlation
-            searched = k
+        posterior = self.log_likelihood(correlation) + log_weight
+        j, largest = np.unravel_index(int(np.argmax(posterior)), posterior.shape)
+        best, likeliest = -math.inf, correlation
+        for k in range(int(largest), -1, -SIZES_APART):
+            gained, broken = with_breaks(self._read[j], self.knots_s, correlation, float(self.sizes[k]))
+            if posterior[j, k] + gained <= best:
+                break
+            best, likeliest = posterior[j, k] + gained, broken
+        return likeliest
 
     @cached_property
     def _read(self) -> list[ReadError]:

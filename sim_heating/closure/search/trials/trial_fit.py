@@ -36,6 +36,7 @@ from sim_heating.estimation.inference.breaks import finer_knots
 from sim_heating.estimation.inference.conditions_noise import heating_noise
 from sim_heating.estimation.inference.error_likelihood import (
     ErrorState,
+    even_knots_s,
     innovations,
     model_error,
     noise_error,
@@ -322,7 +323,7 @@ def declared_values(problem: FitProblem) -> FloatArray:
     return np.array([p.value for p in problem.parameters])
 
 
-def base_trial(baseline: FitResult, *, is_clock_free: bool = False) -> TrialFit:
+def base_trial(baseline: FitResult) -> TrialFit:
     """The declared model with its magnitude and derivatives, and a clock that may be slightly off.
 
     Magnitude and derivatives have the prior of the declared table, as wide as it is. The base has the largest
@@ -332,6 +333,26 @@ def base_trial(baseline: FitResult, *, is_clock_free: bool = False) -> TrialFit:
     with c its own reduced chi-square, at least 1: where something is missing, every reading counts as less than it
     would with noise alone, and the table keeps its say. With c = 1, a missing transition turns the magnitude and
     derivatives of a table into ones that no table has, from where no candidate finds its way.
+
+    A clock that is not known is started where it is declared and one standard deviation to either side: by a manoeuvre
+    whose answer the error of the heating takes up for a part, it has several likely values.
+    """
+    base = _base_trial(baseline, 0.0)
+    clock = next((p for p in base.problem.parameters if p.name == CLOCK_SKEW.name), None)
+    if clock is None or not CLOCK_SKEW.sigma < clock.sigma < math.inf:
+        return base
+    shifts = (float(np.clip(shift, clock.lower, clock.upper)) for shift in (-clock.sigma, clock.sigma))
+    return max((base, *(_base_trial(baseline, shift) for shift in shifts)), key=_log_evidence_of_own_error)
+
+
+def _log_evidence_of_own_error(base: TrialFit) -> float:
+    """Log evidence of a declared model whose error is as large as the readings say, with its priors [-]."""
+    own = with_own_error(base)
+    return own.log_evidence + own.fit.log_posterior - own.fit.log_likelihood
+
+
+def _base_trial(baseline: FitResult, clock_s: float, *, is_clock_free: bool = False) -> TrialFit:
+    """The declared model with a clock that starts at a skew [s].
 
     is_clock_free : whether the clock of a flight whose time is not known to SKEW_SPAN_S may be off by as much. It is
         where it would otherwise be on its bound
@@ -344,10 +365,10 @@ def base_trial(baseline: FitResult, *, is_clock_free: bool = False) -> TrialFit:
     stated = baseline.problem.record_fits[0]
     prior = table_prior(stated.record, stated.names, baseline.problem.reference)
     priors = {} if prior is None else prior.parameters()
-    declared = {**{n: p.value for n, p in priors.items()}, CLOCK_SKEW.name: 0.0}
+    declared = {**{n: p.value for n, p in priors.items()}, CLOCK_SKEW.name: clock_s}
     # Far from the truth a fit with flat priors may end anywhere, and what it ends at is no place to start from.
     start = (dict(zip(stated.names, baseline.fit.values, strict=True)) if baseline.fit.converged else {}) | {
-        CLOCK_SKEW.name: 0.0
+        CLOCK_SKEW.name: clock_s
     }
     fitted, held_out = stated.record.fit_mask(), stated.record.holdout_mask()
     # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
@@ -383,7 +404,7 @@ def base_trial(baseline: FitResult, *, is_clock_free: bool = False) -> TrialFit:
     flight, is_clock = flight_error(stated.record), np.array(fit.names) == CLOCK_SKEW.name
     is_unknown = flight is not None and flight.has_clock and not flight.has_one_clock
     if is_unknown and not is_clock_free and np.any(fit.on_bound & is_clock):
-        return base_trial(baseline, is_clock_free=True)
+        return _base_trial(baseline, clock_s, is_clock_free=True)
     information = np.array([p.sigma**-2.0 for p in problem.parameters])
     fit = replace(fit, prior_information=information, log_posterior=fit.log_likelihood)
     fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
@@ -432,33 +453,54 @@ def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, floa
 def with_own_error(trial: TrialFit) -> TrialFit:
     """A trial with the error of its model as large as the readings say, and with the response about its own values.
 
-    The trial as it is where its model has no error, or cannot be marched there. It is fitted on from its values; the
-    size is that of the largest probability, then and after the fit.
+    The trial as it is where its model has no error, or cannot be marched there. It is fitted on from its values with
+    the most probable size, correlation and breaks of the error, and once more as long as others are more probable then
+    and its log evidence gains one half.
     """
-    record_fit, prior = trial.record_fit, heating_error_prior(trial.record_fit.record)
-    if record_fit.model_error is None or prior is None:
+    most_fits, least_gain = 4, 0.5
+    prior = heating_error_prior(trial.record_fit.record)
+    if trial.record_fit.model_error is None or prior is None:
         return trial
+    breaks_s: tuple[float, ...] = ()
+    for _ in range(most_fits):
+        try:
+            about = _with_response(trial, breaks_s)
+            likeliest = _size_of_error(about, prior, may_break=True).likeliest
+            if trial.size is None and likeliest[1].breaks_s:
+                about = _with_response(trial, likeliest[1].breaks_s)
+                likeliest = _size_of_error(about, prior, may_break=True).likeliest
+        except RunError:
+            return trial
+        error = about.record_fit.model_error
+        assert error is not None  # it was given one
+        sized = fitted_on(with_error(about, error.of_size(*likeliest)), replace(CONVERGE, iterations=40))
+        if not np.isfinite(sized.fit.log_likelihood):
+            return trial
+        size = _size_of_error(sized, prior, may_break=True)
+        sized = replace(sized, size=size)
+        if trial.size is not None and sized.log_evidence < trial.log_evidence + least_gain:
+            return trial
+        trial, breaks_s = sized, size.likeliest[1].breaks_s
+        if size.likeliest == likeliest:
+            break
+    return trial
+
+
+def _with_response(trial: TrialFit, breaks_s: Sequence[float]) -> TrialFit:
+    """A trial whose error has the response of the readings about its values, with finer knots about some breaks [s].
+
+    raises : RunError where it cannot be marched
+    """
+    record_fit = trial.record_fit
     record, now = record_fit.record, record_fit.model_error
+    assert now is not None  # the caller's trial has one
     either = [record.fit_mask() | record.holdout_mask()]
     all_samples = candidate_problem(trial, record_fit, NO_EFFECT, sample_masks=either).record_fits[0]
-
-    def about_it(knots_s: FloatArray | None = None) -> tuple[ModelError, ErrorSize]:
-        error = model_error(
-            all_samples, trial.fit.values, now.sigma, now.correlation, now.flight, now.heating_noise, knots_s
-        )
-        return error, _size_of_error(with_error(trial, error), prior, may_break=True)
-
-    try:
-        error, size = about_it()
-        if breaks_s := size.likeliest[1].breaks_s:
-            error, size = about_it(finer_knots(error.time_s, breaks_s))
-    except RunError:
-        return trial
-    sized = with_error(trial, error)
-    sized = fitted_on(with_error(sized, error.of_size(*size.likeliest)), replace(CONVERGE, iterations=40))
-    if not np.isfinite(sized.fit.log_likelihood):
-        return trial
-    return replace(sized, size=_size_of_error(sized, prior, may_break=True))
+    knots_s = finer_knots(even_knots_s(all_samples), breaks_s)
+    return with_error(
+        trial,
+        model_error(all_samples, trial.fit.values, now.sigma, now.correlation, now.flight, now.heating_noise, knots_s),
+    )
 
 
 def fitted_on(trial: TrialFit, settings: NewtonSettings) -> TrialFit:
