@@ -2,7 +2,8 @@
 
 The calibrated distribution of the statistic (adequacy.py) is that of exact models. With an error, a coarse recorder
 word or slow noise it is another one. So records are made with the model: sizes of the heating's and the flight's error
-from what the readings say of them, an error, noise and rounding drawn, and judged as the record itself is.
+from what the readings say of them, an error, noise and rounding drawn, and judged as the record itself is. The error
+starts anew where that of the model does.
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ def _statistics(trial: TrialFit, count: int, rng: np.random.Generator) -> FloatA
     )
     heating = np.empty((len(error.time_s), count))
     for k, n in zip(*np.unique(kind, return_counts=True), strict=True):
-        heating[:, kind == k] = size.correlations[k].root(error.time_s) @ rng.standard_normal((len(heating), int(n)))
+        correlation = replace(size.correlations[k], breaks_s=error.correlation.breaks_s)
+        heating[:, kind == k] = correlation.root(error.time_s) @ rng.standard_normal((len(heating), int(n)))
     heating *= size.sizes[of_heating]
     flight = rng.standard_normal((record_fit.error_responses_K[1].shape[1], count))
     flight[: error.flight_K.shape[-1]] *= size.scales[scale] / error.flight_scale
