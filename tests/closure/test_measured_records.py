@@ -19,7 +19,7 @@ from sim_heating.closure.search.heating_change import heating_change
 from sim_heating.closure.search.hypothesis import NOT_PREDICTED, adequacy_of, fitted_anew, hypothesis, scored
 from sim_heating.closure.search.joint_search import search_jointly, with_common_flights
 from sim_heating.closure.search.search import search_effects
-from sim_heating.closure.search.simulated_records import with_simulated_p_value
+from sim_heating.closure.search.simulated_records import jumping_errors, slow_errors, with_simulated_p_value
 from sim_heating.closure.search.trials.candidates import candidates
 from sim_heating.closure.search.trials.told_error import told_error
 from sim_heating.closure.search.trials.trial_fit import (
@@ -122,6 +122,17 @@ def test_an_error_in_arcs_explains_their_innovations_and_none_that_scatter_more(
     adequacy = adequacy_of(judged)
     assert adequacy.p_value > 2.0 * POLICY.adequate_p
     assert with_simulated_p_value(judged, replace(adequacy, statistic=9.0)).p_value < POLICY.adequate_p
+
+
+@pytest.mark.thorough
+def test_errors_that_jump_have_the_covariance_of_those_that_change_slowly():
+    fit = FitProblem([load_record(RECORDS / "practice" / "p06")], [], REFERENCE).record_fits[0]
+    alike = Correlation(100.0)
+    error = model_error(fit, np.zeros(0), 1.0, alike)
+    slow, jumping = (draw(error, alike, 20_000, np.random.default_rng(1)) for draw in (slow_errors, jumping_errors))
+    np.testing.assert_allclose(np.cov(jumping), np.cov(slow), atol=0.05)  # of 20,000 pairs known to 0.007
+    steps = np.diff(jumping, axis=0) / np.std(np.diff(jumping, axis=0))
+    assert np.mean(steps**4) > 10.0  # 3 of normal ones
 
 
 def test_a_generated_record_that_states_no_error_has_none():
