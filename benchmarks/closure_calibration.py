@@ -1,4 +1,4 @@
-"""Calibration of findings, from the finished records of closure.py and closure_challenge.py.
+"""Calibration of findings, from the finished records of closure_challenge.py.
 
     python -m benchmarks.closure_calibration            # figures and reliability
     python -m benchmarks.closure_calibration --write    # and the calibration that close-loop states, and the diagram

@@ -1,6 +1,6 @@
 """close-loop on records that nobody generated for it: `challenge`'s classes, and the project's own flights.
 
-    python -m benchmarks closure                                   # this set and that of closure.py, all records
+    python -m benchmarks closure                                   # records of exact models, all
     python -m benchmarks.closure_challenge --share 0.1             # a tenth of every class, for work between full runs
     python -m benchmarks.closure_challenge --classes null,wall     # some classes
     python -m benchmarks.closure_challenge --figures               # figures of the finished records
@@ -23,16 +23,17 @@ import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise, permutations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
+from scipy.stats import beta
 
 from benchmarks.challenge.record import CLASS_NAMES, CLASSES, WORLDS, name_of, whole_set
 from benchmarks.challenge.record import make_and_write as make_challenge
-from benchmarks.closure import limits, proportion, rmse_K, search_of_effect
 from benchmarks.measure import Figure, save, table
 from sim_heating.base.errors import InputError
 from sim_heating.base.parallel.batches import Job, run_batches
@@ -153,6 +154,33 @@ def closed(directory: Path, answer: Mapping[str, Any]) -> dict[str, Any]:
     if row["class"] in SEEDS and not is_right(row):
         row["bic_of_truth_above_finding"] = bic_of_truth_above(record, answer, loop.fitted.fit, loop.fitted.problem)
     return row
+
+
+def rmse_K(found: SearchResult) -> dict[str, float]:
+    """RMSE [K] over fit and holdout segments, refitted with the effects found."""
+    from sim_heating.closure.close import refit
+
+    fitted = refit(found)
+    return {part: e["rmse_K"] for part, e in fitted.after[0].segment_errors().items() if e}
+
+
+def search_of_effect(found: SearchResult, effect: str) -> SearchResult:
+    """The search with the candidates of one effect alone, its best form fitted to convergence."""
+    from sim_heating.closure.search.hypothesis import Conclusion, hypothesis
+    from sim_heating.closure.search.refine import refine
+    from sim_heating.closure.search.search import search_round
+    from sim_heating.closure.search.trials.candidates import LAG_EFFECT, SENSOR_EFFECT
+    from sim_heating.closure.search.trials.trial_fit import base_trial
+    from sim_heating.heating.effects import effects
+
+    others = {*effects(), SENSOR_EFFECT, LAG_EFFECT} - {effect}
+    base = base_trial(found.before)
+    one = search_round(base, sorted(others), lambda fraction, text: None)
+    best = refine(base, one.trials, one.tried, one.predicted)[:1]
+    if not best:
+        return found
+    known = hypothesis([best[0]], one.forms)
+    return replace(found, first=one, conclusion=Conclusion("found", known, (), 0.0))
 
 
 def stated(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -335,6 +363,18 @@ def in_library(row: Mapping[str, Any]) -> bool:
 
 
 # Figures -------------------------------------------------------------------------------------------------------------
+
+
+def limits(hits: int, n: int) -> tuple[float, float]:
+    """95 % Clopper-Pearson limits of a proportion."""
+    low = float(beta.ppf(0.025, hits, n - hits + 1)) if hits else 0.0
+    return low, float(beta.ppf(0.975, hits + 1, n - hits)) if hits < n else 1.0
+
+
+def proportion(what: str, hits: int, n: int, target: float, at_least: bool) -> Figure:
+    """A proportion with its limits."""
+    low, high = limits(hits, n)
+    return Figure(what, hits / n, "", target, at_least, f"{hits} of {n}, 95% limits {low:.3f} to {high:.3f}")
 
 
 def share_of(

@@ -24,7 +24,6 @@ from scipy.stats import kstest, norm
 
 from benchmarks.challenge.point import DERIVATIVES, VARIABLES
 from benchmarks.challenge.record import NOTHING_TRUE
-from benchmarks.closure import limits
 from benchmarks.closure_challenge import (
     NAMED,
     beside,
@@ -32,6 +31,7 @@ from benchmarks.closure_challenge import (
     in_library,
     is_right,
     is_statement,
+    limits,
     share_of,
     things,
     truth_of,

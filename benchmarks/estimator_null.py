@@ -1,16 +1,15 @@
 """Records of another program without undeclared effects: coverage of the bounds.
 
-The records are those of `benchmarks/generator` (finite volumes, backward differences, its own flights, walls and
-recorders), derivatives about the generator's reference condition. Each is fitted with magnitude and all derivatives,
-which is what its truth differs in, once more without the correction of the mesh, and with the parameters that
-`estimate` takes by default: derivatives that the record does not inform or that the table cannot hold are left out, and
-the others take up what they did. Coverage is compared with the lower end of the binomial 99% interval.
+The records are those of class `null` of `benchmarks/challenge` with exact models, derivatives about its reference
+condition. Each is fitted with magnitude and all derivatives, which is what its truth differs in, once more without the
+correction of the mesh, and with the parameters that `estimate` takes by default: derivatives that the record does not
+inform or that the table cannot hold are left out; in the truth of these records hardly any of them acts. Coverage is
+compared with the lower end of the binomial 99% interval.
 """
 
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from multiprocessing import get_context
@@ -21,10 +20,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom
 
-from benchmarks.generator.record import make_and_write
+from benchmarks.challenge.record import make_and_write
 from benchmarks.measure import Figure, save
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.files import toml_text
 from sim_heating.base.parameters import SHORT_NAMES
 from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.inference.newton import maximise
@@ -43,17 +41,19 @@ HOW = {
 
 def made_and_fitted(number: int, out: Path) -> dict[str, Any]:
     """Make a record and fit it; errors over sigmas, and whether the truth is inside, by parameter."""
-    name, answer, _ = make_and_write((SEED, number, "none", out))
-    answer = tomllib.loads(toml_text(answer))
+    name, answer, _ = make_and_write((SEED, number, "null", out, False))
     record, about = load_record(out / name), answer["reference_condition"]
     fitted, by_default = estimate([record], NAMES, reference=about), estimate([record], reference=about)
+    if fitted.not_estimated:  # bounds of the others would be those of a model that excludes the truth
+        raise RuntimeError(f"{name}: {', '.join(fitted.not_estimated)} cannot be estimated")
     for fit in (fitted.fit, by_default.fit):
         if not fit.converged:
             raise RuntimeError(f"{name}: {fit.describe()[0]}")
     white = [r.whiteness.p_value for r in sensor_residual_tests(fitted) if r.whiteness]
     row = {
         "record": name,
-        "coloured_noise": answer["noise_colour"][0] > 0.0,
+        "kind": answer["form"][0],
+        "coloured_noise": answer["noise"][0] > 0.0,
         "white": white,
         "not_estimated": by_default.not_estimated,
         "corrected": errors(fitted, fitted.fit.values, answer["true_errors"]),

@@ -1,7 +1,7 @@
 """close-loop on the shipped records, ten of practice and five measured: what it finds, and what remains.
 
 Runs the command as a user does and keeps what `closure.json` of each record states. Findings of practice records are
-listed beside their true effects, not assessed: ten are too few for a rate (`closure.py` counts rates).
+listed beside their true effects, not assessed: ten are too few for a rate (`closure_challenge.py` counts rates).
 """
 
 from __future__ import annotations

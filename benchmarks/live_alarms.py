@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.stats import poisson
 
-from benchmarks.generator.record import make_and_write
+from benchmarks.challenge.record import make_and_write
 from benchmarks.live_exact import NULL
 from benchmarks.measure import Figure
-from sim_heating.base.errors import InputError
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.live.filtering.estimator import LiveEstimator
 from sim_heating.live.filtering.points import RecordPoints
@@ -68,25 +66,14 @@ def watch(record: Record, rate: float = RATE) -> Watched:
 
 
 def null_flights(count: int, progress: Progress) -> list[Watched]:
-    """Flights of another program without an undeclared effect; those with thermocouples that lag are left out."""
+    """Flights of another program without an undeclared effect, whose models are exact."""
     found: list[Watched] = []
     with TemporaryDirectory() as folder:
-        make = partial(_made, Path(folder))
-        number = 0
-        while len(found) < count:
-            try:
-                found.append(watch(make(number)))
-            except InputError as error:
-                if "lags" not in str(error):
-                    raise
-            number += 1
+        for number in range(count):
+            name, _, _ = make_and_write((SEED, number, "null", Path(folder), False))
+            found.append(watch(load_record(Path(folder) / name)))
             progress(f"null flights: {len(found)} of {count}")
     return found
-
-
-def _made(folder: Path, number: int) -> Record:
-    name, _, _ = make_and_write((SEED, number, "none", folder))
-    return load_record(folder / name)
 
 
 def delays() -> dict[str, tuple[str, float, float]]:

@@ -67,7 +67,6 @@ BEGUN_FIRST = (
     "benchmarks/test_challenge.py",
     "planning/test_bands.py",
     "base/test_parallel.py",
-    "benchmarks/test_generator.py",
     "live/test_engine.py",
     "closure/test_table_prior.py",
     "simulation/test_plugin.py",

@@ -1,4 +1,4 @@
-"""How the truth of a record deviates from what the record declares: one type for every set of records."""
+"""How the truth of a record deviates from what the record declares."""
 
 from __future__ import annotations
 

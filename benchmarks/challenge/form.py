@@ -39,8 +39,6 @@ class Family:
     effects   : names of effects that report it all the same
     is_slope  : whether a refit of the slopes takes up all of it
     same      : form -> another effect that is the same function once the slopes are fitted
-    least_sensors : least number of thermocouples that show it
-    residual      : range of its residual over the noise floor, where it acts, after a refit of scale and slopes
     kind      : "wall", "flight" or "sensor" of a fault whose class does not say it; empty where it is none of them
     """
 
@@ -56,8 +54,6 @@ class Family:
     is_slope: bool = False
     kind: str = ""
     same: Mapping[str, str] = field(default_factory=dict)
-    least_sensors: int = 1
-    residual: tuple[float, float] = VISIBLE
 
 
 @dataclass(frozen=True)

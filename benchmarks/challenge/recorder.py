@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -93,13 +93,8 @@ def sample_times(rng: Generator, recorder: Recorder) -> FloatArray:
 
 
 def unit_noise(rng: Generator, recorder: Recorder) -> FloatArray:
-    """Unit variance: white, and a first-order Markov part."""
+    """(sample,) of unit variance: white, and a first-order Markov part."""
     white, kicks = rng.normal(size=(2, len(recorder.time_s)))
-    return mixed(recorder, white, kicks)
-
-
-def mixed(recorder: Recorder, white: FloatArray, kicks: FloatArray) -> FloatArray:
-    """(sample,) noise of unit variance of two white ones: the second becomes the first-order Markov part."""
     n = len(kicks)
     if recorder.colour == 0.0:
         return white
@@ -112,19 +107,12 @@ def mixed(recorder: Recorder, white: FloatArray, kicks: FloatArray) -> FloatArra
 
 
 def measure(
-    rng: Generator,
-    recorder: Recorder,
-    sensors: Sequence[Mapping[str, Any]],
-    indicated_K: FloatArray,
-    noise: Callable[[Generator, Recorder], FloatArray] = unit_noise,
+    rng: Generator, recorder: Recorder, sensors: Sequence[Mapping[str, Any]], indicated_K: FloatArray
 ) -> FloatArray:
-    """(sample, sensor) recorded readings [K]; NaN is a lost sample.
-
-    noise : draws one of unit variance for each sensor
-    """
+    """(sample, sensor) recorded readings [K]; NaN is a lost sample."""
     t, read = recorder.time_s, np.empty_like(indicated_K)
     for i, sensor in enumerate(sensors):
-        noisy = indicated_K[:, i] + sensor["noise_sigma_K"] * noise(rng, recorder)
+        noisy = indicated_K[:, i] + sensor["noise_sigma_K"] * unit_noise(rng, recorder)
         if step := lsb_K(sensor):
             low, high = sensor["range_K"]
             noisy = low + np.rint((np.clip(noisy, low, high) - low) / step) * step

@@ -1,4 +1,4 @@
-"""The second generator of flight records: free of the package's code, and in agreement with its march all the same."""
+"""The generator of flight records: free of the package's code, and in agreement with its march all the same."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.sparse import diags
 
 from benchmarks.challenge.air import EARTH_M, G0, WALL_K, standard_air, wall_enthalpy
+from benchmarks.challenge.case import FINE_S, Case, History
+from benchmarks.challenge.deviation import HOT_K
 from benchmarks.challenge.judge import Bench, log_evidence
 from benchmarks.challenge.on_ratio import ALPHA
 from benchmarks.challenge.record import (
@@ -21,12 +25,14 @@ from benchmarks.challenge.record import (
     IMPERFECT,
     IMPERFECT_CHI2,
     KINDS,
+    LEAST,
     Made,
     make,
     whole_set,
     write,
 )
 from benchmarks.challenge.recorder import floor_K
+from benchmarks.challenge.wall import SIGMA, Forcing, Wall, build, march
 from benchmarks.challenge.world import ARC_S, World
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.heating.atmosphere import us76_kernel
@@ -93,6 +99,105 @@ def test_molar_enthalpies_give_the_package_s_air_while_it_is_not_dissociated():
     T = np.array([300.0, 600.0, 1000.0, 1400.0])
     expected = wall_enthalpy_grid("equilibrium-air", T, np.array([300.0]))[:, 0]
     assert np.interp(T, WALL_K, wall_enthalpy(None)) == pytest.approx(expected, rel=2e-3)  # dissociation begins
+
+
+# Numerics ------------------------------------------------------------------------------------------------------------
+
+
+def marched(history: History, share: float = 1.0) -> tuple[Wall, NDArray[np.float64]]:
+    """The declared wall on a share of the usual elements, and its (time, surface | thermocouple) temperatures [K]."""
+    case, columns, n = history.case, history.columns, len(history.t)
+    wall = build(case.point.stack, case.point.materials, case.point.depths_m, share=share)
+    none = np.zeros(len(wall.x_m))
+    forcing = Forcing(
+        film=history.true_ratio * columns["h_ref_kg_m2_s"], H_r=columns["H_r_J_kg"],
+        log_p=np.log10(columns["p_surface_Pa"]), eps_factor=np.ones(n), hot=np.zeros(len(HOT_K)), hot_share=np.ones(n),
+        H_w=wall_enthalpy(case.cp_J_kgK), deposit=none, diverted=0.0, water=none,
+        moisture=np.array([0.0, 0.0, 1.0, 1.0, 0.0]), added=np.zeros(n), side=none,
+    )  # fmt: skip
+    nodes = [wall.node(depth) for depth in case.point.depths_m]
+    return wall, march(wall, forcing, case.point.stack["initial_K"], nodes, history.step_s)
+
+
+def radau(history: History, wall: Wall, end_s: float) -> NDArray[np.float64]:
+    """(time, node) temperatures [K] of the control volumes each second, by scipy's Radau; the back is insulated.
+
+    Properties by np.interp from the declared tables.
+    """
+    case, columns = history.case, history.columns
+    layers = [case.point.materials[entry["material"]] for entry in case.point.stack["layer"]]
+    T_air, H_air = WALL_K, wall_enthalpy(case.cp_J_kgK)
+    film, H_r, p = history.true_ratio * columns["h_ref_kg_m2_s"], columns["H_r_J_kg"], columns["p_surface_Pa"]
+
+    def conductivity(material: dict, T: NDArray[np.float64], log_p: float) -> NDArray[np.float64]:
+        table = material["conductivity_W_mK"]
+        if isinstance(table, dict):
+            column = [np.interp(log_p, np.log10(table["p_Pa"]), row) for row in table["k"]]
+            return np.interp(T, table["T_K"], column)
+        return np.interp(T, *np.array(table).T)
+
+    def rate(t: float, T: NDArray[np.float64]) -> NDArray[np.float64]:
+        log_p = np.log10(np.interp(t, history.t, p))
+        C, g, middle = np.zeros(len(T)), 1.0 / wall.dx_m, 0.5 * (T[1:] + T[:-1])
+        for i, material in enumerate(layers):
+            of = np.flatnonzero(wall.layer == i)
+            g[of] *= conductivity(material, middle[of], log_p)
+            for end in (of, of + 1):
+                c = np.interp(T[end], *np.array(material["specific_heat_J_kgK"]).T)
+                C[end] += 0.5 * wall.dx_m[of] * material["density_kg_m3"] * c
+        convected = np.interp(t, history.t, film) * (np.interp(t, history.t, H_r) - np.interp(T[0], T_air, H_air))
+        eps = np.interp(T[0], *np.array(layers[0]["emissivity"]).T)
+        radiated = eps * SIGMA * (T[0] ** 4 - case.point.stack["surroundings_K"] ** 4)
+        flux = np.concatenate(([convected - radiated], g * -np.diff(T), [0.0]))
+        return -np.diff(flux) / C
+
+    n = len(wall.x_m)
+    found = solve_ivp(
+        rate, (0.0, end_s), np.full(n, case.point.stack["initial_K"]), "Radau", t_eval=np.arange(0.0, end_s + 0.5),
+        rtol=1e-7, atol=1e-5, max_step=2.0, jac_sparsity=diags([1.0, 1.0, 1.0], [-1, 0, 1], (n, n)),
+    )  # fmt: skip
+    return found.y.T
+
+
+def null_case(number: int, wall: str) -> Case:
+    """A flight without deviation over a wall of this name."""
+    case = made_of("null", number).case
+    assert case.point.name == wall
+    return case
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("number", "wall"), [(6, "STS96_468"), (15, "LEE_FUSELAGE"), (4, "own-plate")])
+def test_march_integrates_its_control_volumes_as_radau_does(number, wall):
+    case, end_s = null_case(number, wall), 850.0
+    history = case.at(FINE_S)
+    mesh, found = marched(history, share=0.3)
+    expected = radau(history, mesh, end_s)
+    nodes = [0, *(mesh.node(depth) for depth in case.point.depths_m)]
+    begun, end = case.flight.manoeuvres[0][1:]
+    assert begun < end < end_s  # a manoeuvre is in it
+    assert np.max(np.abs(found[: 5 * len(expected) : 5] - expected[:, nodes])) < 0.02
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("number", "wall"), [(6, "STS96_468"), (15, "LEE_FUSELAGE"), (8, "own-standoff"), (4, "own-plate")]
+)
+def test_march_has_enough_elements_and_short_steps(number, wall):
+    case = null_case(number, wall)
+    _, usual = marched(case.at(FINE_S))
+    assert np.array_equal(usual, case.at(FINE_S).temperatures())
+    assert np.max(np.abs(marched(case.at(FINE_S), share=2.0)[1] - usual)) < 0.04
+    halved = marched(case.at(0.5 * FINE_S))[1][::2]
+    assert np.max(np.abs(halved - usual[: len(halved)])) < 0.04
+
+
+@pytest.mark.thorough
+def test_march_is_of_second_order_in_depth():
+    history = null_case(6, "STS96_468").at(FINE_S)
+    fine, *coarse = (marched(history, share)[1] for share in (2.0, 0.5, 0.25))
+    near, far = (np.max(np.abs(T - fine)) for T in coarse)
+    assert 3.0 < far / near < 5.5
 
 
 # Null records: two programs, one physics -----------------------------------------------------------------------------
@@ -174,6 +279,9 @@ def test_a_record_loads_and_its_deviation_is_more_than_its_noise(of_class, numbe
     assert made.answer["true_rmse_K"]["fit"] == pytest.approx(made.answer["noise_floor_K"], rel=0.25)
     assert made.answer.get("kind") == (of_class if of_class in KINDS else None)
     assert bool(made.answer["effects"]) == (of_class in ("one", "two"))
+    if made.answer["effects"]:
+        assert [names[0] for names in made.answer["accepted"]] == made.answer["effects"]
+        assert min(made.answer["residual_over_floor"]) >= LEAST
 
 
 def test_same_seed_class_and_number_make_the_same_record_and_others_do_not():
