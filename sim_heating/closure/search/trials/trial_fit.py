@@ -497,9 +497,9 @@ def _with_response(trial: TrialFit, breaks_s: Sequence[float]) -> TrialFit:
     either = [record.fit_mask() | record.holdout_mask()]
     all_samples = candidate_problem(trial, record_fit, NO_EFFECT, sample_masks=either).record_fits[0]
     knots_s = finer_knots(even_knots_s(all_samples), breaks_s)
+    alike = replace(now.correlation, breaks_s=())  # breaks are sought again, at these knots
     return with_error(
-        trial,
-        model_error(all_samples, trial.fit.values, now.sigma, now.correlation, now.flight, now.heating_noise, knots_s),
+        trial, model_error(all_samples, trial.fit.values, now.sigma, alike, now.flight, now.heating_noise, knots_s)
     )
 
 
