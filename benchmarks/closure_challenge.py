@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 from benchmarks.challenge.record import CLASS_NAMES, CLASSES, WORLDS, name_of, whole_set
 from benchmarks.challenge.record import make_and_write as make_challenge
@@ -367,8 +367,8 @@ def in_library(row: Mapping[str, Any]) -> bool:
 
 def limits(hits: int, n: int) -> tuple[float, float]:
     """95 % Clopper-Pearson limits of a proportion."""
-    low = float(beta.ppf(0.025, hits, n - hits + 1)) if hits else 0.0
-    return low, float(beta.ppf(0.975, hits + 1, n - hits)) if hits < n else 1.0
+    interval = binomtest(hits, n).proportion_ci(0.95, method="exact")
+    return float(interval.low), float(interval.high)
 
 
 def proportion(what: str, hits: int, n: int, target: float, at_least: bool) -> Figure:

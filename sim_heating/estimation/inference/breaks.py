@@ -99,13 +99,13 @@ def with_breaks(
     for count in range(len(correlation.breaks_s), MOST_BREAKS):
         C = np.stack([P[before, before], P[before, k], P[before, k], P[k, k]], axis=-1).reshape(-1, 2, 2)
         m = np.stack([mean[:-1], mean[1:]], axis=-1)[..., np.newaxis]
-        change = np.linalg.solve(np.eye(2) + D @ C, D)
+        inner = np.eye(2) + D @ C
+        change = np.linalg.solve(inner, D)
         lost = (np.swapaxes(m, 1, 2) @ change @ m)[:, 0, 0]
         with np.errstate(invalid="ignore", divide="ignore"):
-            gain = 0.5 * (np.log1p(-(a**2)) - np.log(np.linalg.det(np.eye(2) + D @ C)) - lost)
-        gain = np.where(is_broken | ~np.isfinite(gain), -np.inf, gain) + _log_odds_of_further(
-            knots_s, count, slice(None)
-        )
+            gain = 0.5 * (np.log1p(-(a**2)) - np.log(np.linalg.det(inner)) - lost)
+        gain = np.where(is_broken | ~np.isfinite(gain), -np.inf, gain)
+        gain += _log_odds_of_further(knots_s, count, slice(None))
         best = int(np.argmax(gain))
         if gain[best] <= 0.0:
             break

@@ -24,8 +24,6 @@ from sim_heating.estimation.inference.breaks import ReadError, log_prior, with_b
 from sim_heating.estimation.inference.model_error import AS_STATED, Correlation, ErrorSize, HeatingErrorPrior
 from sim_heating.estimation.record_fit import LEAST_SEEN, PredictedSamples, RecordFit
 
-STAYS = 20.0
-"""Correlation time of an error that stays as it is until it starts anew, over the longest of its prior [-]."""
 SIZES_APART = 2
 """Places in the grid of sizes from one at which breaks are sought to the next."""
 JITTER = 4.0 * float(np.finfo(float).eps)
@@ -60,12 +58,9 @@ def error_size(
     """
     error = record_fit.model_error
     assert error is not None  # the caller's records have one
-    sizes, correlations, weights = prior.grid()
+    may_break &= prior.relative > 0.0
+    sizes, correlations, weights = prior.grid(may_break=may_break)
     seen = _seen(record_fit, samples, held_out, towards_prior, free, scales, of_flight, sizes)
-    may_break &= sizes[0] > 0.0
-    if may_break and len(correlations) > 1:  # what starts anew may stay as it is until then
-        weights = np.vstack([weights, weights[-1]]) - math.log(1.0 + 1.0 / len(correlations))
-        correlations = (*correlations, Correlation(STAYS * prior.longest_s))
     of_scale = np.log(list(scales.values()))[:, np.newaxis]
     entries: dict[Correlation, tuple[FloatArray, FloatArray]] = {}
     for correlation, weight in zip(correlations, weights, strict=True):

@@ -48,6 +48,8 @@ AS_STATED: Mapping[float, float] = {1.0: 1.0}
 """Prior of the factor on stated standard deviations where these are believed as they are."""
 TIMES = 4
 """Correlation times that it is integrated over, evenly spaced on a logarithmic scale."""
+STAYS = 20.0
+"""Correlation time of an error that stays as it is until it starts anew, over the longest of its prior [-]."""
 
 
 @dataclass(frozen=True)
@@ -109,10 +111,12 @@ class HeatingErrorPrior:
         """The correlation in the middle of the times on a logarithmic scale: docs/theory/model_error.md, equation 5."""
         return Correlation(math.sqrt(self.shortest_s * self.longest_s))
 
-    def grid(self) -> tuple[FloatArray, tuple[Correlation, ...], FloatArray]:
+    def grid(self, *, may_break: bool = False) -> tuple[FloatArray, tuple[Correlation, ...], FloatArray]:
         """(size,) standard deviations [-], (correlation,) correlations, (correlation, size) logarithms of weights.
 
-        Source: docs/theory/model_error.md, equations 1a and 5.
+        may_break : whether it may start anew, and stay as it is until then where its correlation time is not stated
+
+        Source: docs/theory/model_error.md, equations 1a, 5 and 5c.
         """
         sizes, ends = np.array(SIZES), np.log([self.shortest_s, self.longest_s])
         if self.relative == 0.0:  # the heating is exact, and something else is not
@@ -120,13 +124,15 @@ class HeatingErrorPrior:
         count = TIMES if self.longest_s > self.shortest_s else 1
         times_s = np.exp(ends[0] + (np.arange(count) + 0.5) / count * (ends[1] - ends[0]))
         kinds = (False, True) if self.may_be_smooth else (False,)
-        correlations = tuple(Correlation(float(tau), smooth) for smooth in kinds for tau in times_s)
+        correlations = [Correlation(float(tau), smooth) for smooth in kinds for tau in times_s]
+        if may_break and count > 1:
+            correlations.append(Correlation(STAYS * self.longest_s))
         edges = np.concatenate([[0.0], 0.5 * (sizes[1:] + sizes[:-1]), [1.5 * sizes[-1]]])
         c, p = np.array(list(self.scales)), np.array(list(self.scales.values()))
         half_normal = np.exp(-0.5 * (sizes[:, np.newaxis] / (c * self.relative)) ** 2) / c
         log_weight = np.log(np.diff(edges)) + np.log(half_normal @ p)
         log_weight -= np.logaddexp.reduce(log_weight) + math.log(len(correlations))
-        return sizes, correlations, np.tile(log_weight, (len(correlations), 1))
+        return sizes, tuple(correlations), np.tile(log_weight, (len(correlations), 1))
 
 
 class FlightError(Protocol):

@@ -462,11 +462,11 @@ def with_own_error(trial: TrialFit) -> TrialFit:
     if trial.record_fit.model_error is None or prior is None:
         return trial
     breaks_s: tuple[float, ...] = ()
-    for _ in range(most_fits):
+    for number in range(most_fits):
         try:
             about = _with_response(trial, breaks_s)
             likeliest = _size_of_error(about, prior, may_break=True).likeliest
-            if trial.size is None and likeliest[1].breaks_s:
+            if number == 0 and likeliest[1].breaks_s:  # at even knots
                 about = _with_response(trial, likeliest[1].breaks_s)
                 likeliest = _size_of_error(about, prior, may_break=True).likeliest
         except RunError:
@@ -478,7 +478,7 @@ def with_own_error(trial: TrialFit) -> TrialFit:
             return trial
         size = _size_of_error(sized, prior, may_break=True)
         sized = replace(sized, size=size)
-        if trial.size is not None and sized.log_evidence < trial.log_evidence + least_gain:
+        if number > 0 and sized.log_evidence < trial.log_evidence + least_gain:
             return trial
         trial, breaks_s = sized, size.likeliest[1].breaks_s
         if size.likeliest == likeliest:
