@@ -187,7 +187,7 @@ def test_the_response_is_that_of_a_march_with_other_heating(problem):
 @pytest.mark.parametrize("smooth", [False, True], ids=["with corners", "smooth"])
 def test_the_size_of_an_error_is_found_from_readings_made_with_it(problem, smooth):
     part, rng = problem.record_fits[0], np.random.default_rng(5)
-    samples, prior = problem.samples(AT), HeatingErrorPrior(0.05, 60.0, 600.0, may_be_smooth=True)
+    samples, prior = problem.samples(AT), HeatingErrorPrior(0.05, 60.0, 600.0)
     towards = (np.full(2, 1e4), -AT)
     sizes = {}
     for true in (0.0, 0.02, 0.08):

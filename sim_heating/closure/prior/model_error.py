@@ -213,12 +213,6 @@ class SmoothFlightError:
 
 
 ALPHA = "alpha_bias_deg"
-SHORTEST_S = 15.0
-"""Shortest correlation time of a heating's error where nothing is distinguished from another, if none is stated [s].
-
-A search for causes has none below a minute, since a shorter one would buy a jump, and no smooth one, which would buy a
-slow cause (docs/theory/model_error.md, section "Size").
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,8 +277,4 @@ def stated_error(record: Record) -> StatedError:
         >>> error.heating.relative
         0.05
     """
-    heating = heating_error_prior(record)
-    if heating is not None:
-        shortest_s = SHORTEST_S if heating.shortest_s < heating.longest_s else heating.shortest_s
-        heating = replace(heating, shortest_s=shortest_s, may_be_smooth=True)
-    return StatedError(heating, other_flight(record))
+    return StatedError(heating_error_prior(record), other_flight(record))

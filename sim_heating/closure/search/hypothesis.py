@@ -504,7 +504,7 @@ def _things(h: Hypothesis) -> set[tuple[str, str]]:
 
 def _explains(h: Hypothesis) -> bool:
     """Whether a hypothesis explains the record to its noise, by a model with an error small enough to be named."""
-    return h.adequate and (h.last.told_size is None or h.last.told_size.mean <= POLICY.max_heating_error)
+    return h.adequate and (h.last.size is None or h.last.size.mean <= POLICY.max_heating_error)
 
 
 def _alternatives(best: Hypothesis, inside: Sequence[Hypothesis]) -> tuple[tuple[str, ...], ...]:

@@ -65,7 +65,7 @@ def error_size(
     entries: dict[Correlation, tuple[FloatArray, FloatArray]] = {}
     for correlation, weight in zip(correlations, weights, strict=True):
         of_prior = of_scale + weight
-        if not may_break:
+        if not may_break or correlation.smooth:
             entries[correlation] = seen.log_likelihood(correlation), of_prior
             continue
         start = error.correlation if error.correlation.time_s == correlation.time_s else correlation

@@ -46,7 +46,7 @@ JITTER = 1e-8
 """Added to the diagonal of a smooth correlation matrix, which rounding may make indefinite [-]."""
 AS_STATED: Mapping[float, float] = {1.0: 1.0}
 """Prior of the factor on stated standard deviations where these are believed as they are."""
-TIMES = 4
+TIMES = 5
 """Correlation times that it is integrated over, evenly spaced on a logarithmic scale."""
 STAYS = 20.0
 """Correlation time of an error that stays as it is until it starts anew, over the longest of its prior [-]."""
@@ -94,16 +94,15 @@ class HeatingErrorPrior:
 
     relative : scale of the half-normal prior of its standard deviation [-]
     shortest_s, longest_s : limits of the log-uniform prior of its correlation time [s]; equal where it is stated
-    may_be_smooth : whether it may have no corners, which is then as probable as that it has
     scales : factor on `relative` -> its probability [-]: a size that somebody states may be too small
 
-    The defaults are those of a measured flight that states none: 5 % of the heating, over parts of an entry, a choice.
+    It may be smooth or have corners, which are equally probable. The defaults are those of a measured flight that
+    states none: 5 % of the heating, from a manoeuvre's duration to parts of an entry, a choice.
     """
 
     relative: float = 0.05
-    shortest_s: float = 60.0
+    shortest_s: float = 15.0
     longest_s: float = 600.0
-    may_be_smooth: bool = False
     scales: Mapping[float, float] = field(default_factory=lambda: AS_STATED)
 
     @property
@@ -123,8 +122,7 @@ class HeatingErrorPrior:
             return np.zeros(1), (self.middle,), np.zeros((1, 1))
         count = TIMES if self.longest_s > self.shortest_s else 1
         times_s = np.exp(ends[0] + (np.arange(count) + 0.5) / count * (ends[1] - ends[0]))
-        kinds = (False, True) if self.may_be_smooth else (False,)
-        correlations = [Correlation(float(tau), smooth) for smooth in kinds for tau in times_s]
+        correlations = [Correlation(float(tau), smooth) for smooth in (False, True) for tau in times_s]
         if may_break and count > 1:
             correlations.append(Correlation(STAYS * self.longest_s))
         edges = np.concatenate([[0.0], 0.5 * (sizes[1:] + sizes[:-1]), [1.5 * sizes[-1]]])

@@ -98,7 +98,7 @@ def scale_in_words(flight_scale: Mapping[float, float]) -> str:
 def told_error(trial: TrialFit) -> ToldError | None:
     """The error of a trial's model; None for a model without one."""
     phase_count = 8  # consecutive parts of a record whose error is compared
-    record_fit, size = trial.record_fit, trial.told_size
+    record_fit, size = trial.record_fit, trial.size
     error, G = record_fit.model_error, record_fit.error_root_K
     if error is None or size is None or G is None:
         return None

@@ -20,13 +20,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
-from sim_heating.closure.prior.model_error import (
-    clock_prior,
-    flight_error,
-    flight_scales,
-    heating_error_prior,
-    stated_error,
-)
+from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
@@ -144,18 +138,6 @@ class TrialFit:
         """Parameter of the change, value and standard deviation by its name; none for a change without one."""
         parameter = None if self.change is None else self.change.parameter
         return {} if parameter is None else {parameter.name: (parameter, self.value, self.sigma)}
-
-    @cached_property
-    def told_size(self) -> ErrorSize | None:
-        """What the readings say of the size of its model's error, with correlation times from a quarter of a minute.
-
-        None without an error. A comparison of causes has none below a minute, where an error that changes faster counts
-        as a larger one.
-        """
-        prior = stated_error(self.record_fit.record).heating
-        if self.size is None or prior is None:
-            return None
-        return _size_of_error(self, replace(prior, may_be_smooth=False), may_break=True)
 
     @property
     def log_evidence(self) -> float:
