@@ -114,7 +114,9 @@ def search_effects(
     before = trial_fit.declared_fit(record, names)
     base = trial_fit.base_trial(before)
     first = search_round(base, [], _stage(progress, 0.1, 0.35, "one effect"))
-    search = _Search(record, first, hypothesis([base], {}))
+    none = hypothesis([base], {})
+    # candidates are compared by their log likelihoods with the error of the base, until each has its own
+    search = _Search(record, first, hypothesis([replace(base, size=None)], {}))
     hypotheses = [search.stack([t]) for t in _refined(first, _stage(progress, 0.35, 0.45, "one effect"))]
     discrepancies = flight_discrepancies(record.conditions)
     progress(0.45, "changes of the flight, the wall and the sensors")
@@ -124,9 +126,9 @@ def search_effects(
         hypotheses += search.fitted_on(hypotheses)
         rated = scored(search.none, hypotheses)
     if search.lacks_more(rated):
-        none, rated = _judged(search.none, search.further_causes(hypotheses, progress))
+        none, rated = _judged(none, search.further_causes(hypotheses, progress))
     else:
-        none, rated = _judged(search.none, rated)
+        none, rated = _judged(none, rated)
         rated = search.beside_an_error(none, rated, progress) if base.has_error else rated
     if none.last.record_fit.model_error is not None:
         rated = _worth_their_causes(none, rated)
@@ -140,7 +142,7 @@ def search_effects(
 def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, list[Hypothesis]]:
     """The declared model and the leading hypotheses, each with the error of the model that the record says it has.
 
-    Until here all have one error, of middling size at most, and with the response about the declared model.
+    Until here all have that of the declared model, of the prior's scale at most, with the response about its values.
     """
     if none.last.record_fit.model_error is None:
         return none, list(rated)

@@ -306,7 +306,7 @@ def declared_values(problem: FitProblem) -> FloatArray:
 
 
 def base_trial(baseline: FitResult) -> TrialFit:
-    """The declared model with its magnitude and derivatives, and a clock that may be slightly off.
+    """The declared model with its magnitude and derivatives, a clock that may be slightly off, and its own error.
 
     Magnitude and derivatives have the prior of the declared table, as wide as it is. The base has the largest
 
@@ -321,16 +321,16 @@ def base_trial(baseline: FitResult) -> TrialFit:
     """
     base = _base_trial(baseline, 0.0)
     clock = next((p for p in base.problem.parameters if p.name == CLOCK_SKEW.name), None)
-    if clock is None or not CLOCK_SKEW.sigma < clock.sigma < math.inf:
-        return base
-    shifts = (float(np.clip(shift, clock.lower, clock.upper)) for shift in (-clock.sigma, clock.sigma))
-    return max((base, *(_base_trial(baseline, shift) for shift in shifts)), key=_log_evidence_of_own_error)
+    shifts = list[float]()
+    if clock is not None and CLOCK_SKEW.sigma < clock.sigma < math.inf:
+        shifts = [float(np.clip(shift, clock.lower, clock.upper)) for shift in (-clock.sigma, clock.sigma)]
+    starts = (base, *(_base_trial(baseline, shift) for shift in shifts))
+    return _with_error_no_larger(max(map(with_own_error, starts), key=_log_posterior))
 
 
-def _log_evidence_of_own_error(base: TrialFit) -> float:
-    """Log evidence of a declared model whose error is as large as the readings say, with its priors [-]."""
-    own = with_own_error(base)
-    return own.log_evidence + own.fit.log_posterior - own.fit.log_likelihood
+def _log_posterior(base: TrialFit) -> float:
+    """Log evidence of a declared model, with its priors [-]."""
+    return base.log_evidence + base.fit.log_posterior - base.fit.log_likelihood
 
 
 def _base_trial(baseline: FitResult, clock_s: float, *, is_clock_free: bool = False) -> TrialFit:
@@ -390,27 +390,19 @@ def _base_trial(baseline: FitResult, clock_s: float, *, is_clock_free: bool = Fa
     information = np.array([p.sigma**-2.0 for p in problem.parameters])
     fit = replace(fit, prior_information=information, log_posterior=fit.log_likelihood)
     fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
-    return _with_error_no_larger(TrialFit("none", NO_EFFECT, problem, held_out_problem, fit))
+    return TrialFit("none", NO_EFFECT, problem, held_out_problem, fit)
 
 
-def _with_error_no_larger(base: TrialFit) -> TrialFit:
-    """The declared model with the most probable error of its heating, where that is smaller than the prior's scale.
+def _with_error_no_larger(own: TrialFit) -> TrialFit:
+    """The declared model with the error that the readings say it has, no larger than the prior's scale.
 
-    With a cause the error is no larger than without one. A middling error would hide causes that a smaller one does
-    not, and one that follows what is missing would hide that.
+    With a cause the error is no larger than without one. One that follows what is missing would hide that.
     """
-    error, prior = base.record_fit.model_error, heating_error_prior(base.record_fit.record)
-    if error is None or prior is None or error.sigma == 0.0:
-        return base
-    sigma, correlation, _ = _size_of_error(base, prior).likeliest
-    if sigma >= error.sigma:
-        return base
-    smaller = with_error(base, error.of_size(sigma, correlation, error.flight_scale))
-    fit = maximise_together([smaller.problem], [base.fit.values], QUICK)[0]
-    if not np.isfinite(fit.log_likelihood):
-        return base
-    fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
-    return replace(smaller, fit=replace(fit, prior_information=base.fit.prior_information))
+    error, prior = own.record_fit.model_error, heating_error_prior(own.record_fit.record)
+    if error is None or prior is None or error.sigma <= prior.relative:
+        return own
+    smaller = fitted_on(with_error(own, error.of_size(prior.relative, error.correlation, error.flight_scale)), QUICK)
+    return replace(smaller, size=None) if np.isfinite(smaller.fit.log_likelihood) else own
 
 
 def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, float]) -> ModelError | None:
@@ -435,13 +427,13 @@ def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, floa
 def with_own_error(trial: TrialFit) -> TrialFit:
     """A trial with the error of its model as large as the readings say, and with the response about its own values.
 
-    The trial as it is where its model has no error, or cannot be marched there. It is fitted on from its values with
+    The trial as it is where its model has no error, has its own already, or cannot be marched there. It is fitted on from its values with
     the most probable size, correlation and breaks of the error, and once more as long as others are more probable then
     and its log evidence gains one half.
     """
     most_fits, least_gain = 4, 0.5
     prior = heating_error_prior(trial.record_fit.record)
-    if trial.record_fit.model_error is None or prior is None:
+    if trial.record_fit.model_error is None or prior is None or trial.size is not None:
         return trial
     breaks_s: tuple[float, ...] = ()
     for number in range(most_fits):
@@ -633,7 +625,8 @@ def unfitted(
     record_fit = base.record_fit
     record = None if changed is None else changed(record_fit.record)
     problem = candidate_problem(base, record_fit, candidate, names, record)
-    return replace(base, problem=problem, held_out=held_out_problem_with(base, candidate, names, changed))
+    held_out = held_out_problem_with(base, candidate, names, changed)
+    return replace(base, problem=problem, held_out=held_out, size=None)
 
 
 def candidate_problem(
