@@ -184,7 +184,7 @@ class HeatingUncertainty(Declared):
     """A smooth relative error of the heating, which no model is without: its size and how long it lasts."""
 
     relative: float = Field(ge=0.0, le=1.0, description="scale of its standard deviation over the heating; 0 for none")
-    correlation_s: float | None = Field(default=None, gt=0.0, description="its correlation time; 60 to 600 s without")
+    correlation_s: float | None = Field(default=None, gt=0.0, description="its correlation time; 15 to 600 s without")
 
 
 class ConditionsFile(FileReference):

@@ -427,9 +427,9 @@ def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, floa
 def with_own_error(trial: TrialFit) -> TrialFit:
     """A trial with the error of its model as large as the readings say, and with the response about its own values.
 
-    The trial as it is where its model has no error, has its own already, or cannot be marched there. It is fitted on from its values with
-    the most probable size, correlation and breaks of the error, and once more as long as others are more probable then
-    and its log evidence gains one half.
+    The trial as it is where its model has no error, has its own already, or cannot be marched there. It is fitted on
+    from its values with the most probable size, correlation and breaks of the error, and once more as long as others
+    are more probable then and its log evidence gains one half.
     """
     most_fits, least_gain = 4, 0.5
     prior = heating_error_prior(trial.record_fit.record)
