@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -14,10 +13,9 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
-from sim_heating.base.errors import InputError, RunError, error_context, failure_context
+from sim_heating.base.errors import InputError, error_context, failure_context
 from sim_heating.base.files import display_path, output_directory, suggestion, write_csv, write_json
 from sim_heating.base.files.package import package_version
-from sim_heating.base.parallel.processes import in_copy
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.facts.of_flight import facts_of_flight
 from sim_heating.credibility.statement import Facts, Statement, assess
@@ -28,7 +26,6 @@ from sim_heating.inputs.record import pooled_rmse_K
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
 from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.march.history import PointHistory, march_points, point_summary, table_excursions
-from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.hdf5_times import without_times
 from sim_heating.simulation.plugin import HeatingPlugin
@@ -246,13 +243,6 @@ def fly_scenario(scenario: Scenario, *, progress: Progress = no_progress, on_fra
     return flight
 
 
-def _load_march(scenario: Scenario) -> None:
-    """Load the kernels of the march, and choose the meshes of its points on trial heatings, which need no flight."""
-    points = [point_of_vehicle(scenario.vehicle, scenario.vehicle.control_point(name)) for name in scenario.names]
-    with suppress(InputError, RunError):  # the march itself tells it
-        choose_meshes(points, scenario.declared.heating.longest_step_s)
-
-
 def models_of(
     scenario: Scenario, flown: Conditions, *, truth: bool = False
 ) -> tuple[list[PointModel], list[Conditions]]:
@@ -314,22 +304,6 @@ def run(
     points = {m.name: PointResult(m, c, h) for m, c, h in zip(models, flights, histories, strict=True)}
     progress(0.85, "temperatures done")
     return RunResult(scenario, flight, points, None if alongside is None else alongside.differences_K(histories))
-
-
-def fly_beside(scenario: Scenario, load: Callable[[], object], progress: Progress = no_progress) -> Flight | None:
-    """The flight of a scenario for `run` or `synthesize`, flown by a copy of this process while this one loads.
-
-    load    : loads what is needed after the march
-    returns : None where `run` has to fly: the plug-in flies along, or an FMU has a process of its own
-    """
-    if scenario.declared.heating.alongside or scenario.declared.trajectory.source == "fmu":
-        return None
-
-    def load_all() -> None:
-        load()
-        _load_march(scenario)
-
-    return in_copy(lambda report: fly_scenario(scenario, progress=report), load_all, partial(flying, progress))
 
 
 def flying(progress: Progress, fraction: float, text: str) -> None:
@@ -442,16 +416,6 @@ def files_of(scenario: Scenario) -> list[str]:
 
 def _picture_of(number: int, kind: str) -> str:
     return f"manoeuvre_{number}_{kind}.png"
-
-
-def load_writers() -> None:
-    """Import what `write_run` needs: pictures, its page, its netCDF file."""
-    import netCDF4  # noqa: F401
-    import xarray as xr
-
-    from sim_heating.simulation.report import pages, plots  # noqa: F401
-
-    xr.Dataset({"time_s": ("time", [0.0])})  # the first one looks for further libraries
 
 
 def write_run(

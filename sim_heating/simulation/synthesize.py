@@ -357,11 +357,6 @@ def files_of(scenario: Scenario) -> list[str]:
     return [TRUTH, PAGE, *files]
 
 
-def load_writers() -> None:
-    """Import what `write_records` needs: its page."""
-    from sim_heating.simulation.report import pages  # noqa: F401  matplotlib is slow to import
-
-
 def write_records(
     scenario: Scenario | str | os.PathLike[str], records: dict[str, Record], out: str | os.PathLike[str]
 ) -> list[str]:
