@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError, error_context, failure_context
 from sim_heating.base.files import display_path, output_directory, suggestion, write_csv, write_json
 from sim_heating.base.files.package import package_version
+from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.facts.of_flight import facts_of_flight
 from sim_heating.credibility.statement import Facts, Statement, assess
@@ -429,14 +430,13 @@ def write_run(
 
     points : control points that are drawn, by default all;  raises : InputError for one that was not flown
     """
-    from sim_heating.base.report.figure import draw_files  # matplotlib is slow to import
-
     with output_directory(out, "run", inputs=result.scenario.files) as folder:
         write_json(folder / SUMMARY, summary(result))
         write_csv(folder / CONDITIONS, with_reference_heating(result).columns, ".12g")
         _write_tables(result, folder)
         progress(0.92, "drawing")
-        draw_files([*_drawings(result, folder, points), partial(_write_histories, result, folder / HISTORIES)])
+        _draw(result, folder, points)
+        write_bytes_atomic(folder / HISTORIES, _netcdf(result.to_xarray()))
         progress(0.96, "writing the page")
         _write_page(result, folder, points)
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
@@ -472,12 +472,6 @@ def _write_tables(result: RunResult, folder: Path) -> None:
         write_heating_csv(point_folder / HEATING, point.history, result.limits[name])
 
 
-def _write_histories(result: RunResult, path: Path) -> None:
-    from sim_heating.base.report.figure import write_content  # matplotlib is slow to import
-
-    write_content(path, _netcdf(result.to_xarray()))
-
-
 def _netcdf(dataset: xr.Dataset) -> bytes:
     """A dataset as a netCDF file, made in memory: the library takes no names beyond the locale's encoding, and does
     not say when a disk is full."""
@@ -489,8 +483,8 @@ def _netcdf(dataset: xr.Dataset) -> bytes:
     return without_times(bytes(file.close()))
 
 
-def _drawings(result: RunResult, folder: Path, points: Sequence[str] | None = None) -> list[Callable[[], object]]:
-    """What draws each picture of a run: heating, trajectory, temperatures, each manoeuvre, measured against predicted.
+def _draw(result: RunResult, folder: Path, points: Sequence[str] | None) -> None:
+    """Draw the pictures of a run: heating, trajectory, temperatures, each manoeuvre, measured against predicted.
 
     points : names of those that are drawn, by default all
     """
@@ -498,17 +492,15 @@ def _drawings(result: RunResult, folder: Path, points: Sequence[str] | None = No
 
     title, flown, windows = result.scenario.title, result.flight.conditions, result.flight.windows
     histories = result.histories(points)
-    draws: list[Callable[[], object]] = [
-        partial(plots.draw_heating, folder / HEAT, title, histories, windows),
-        partial(plots.draw_trajectory, folder / TRAJECTORY, title, flown, windows),
-        partial(plots.draw_temperatures, folder / TEMPERATURES, title, histories, windows, result.limits),
-    ]
+    plots.draw_heating(folder / HEAT, title, histories, windows)
+    plots.draw_trajectory(folder / TRAJECTORY, title, flown, windows)
+    plots.draw_temperatures(folder / TEMPERATURES, title, histories, windows, result.limits)
     moved = result.flight.at_frame_rate()
     for i, window in enumerate(windows, start=1):
         chosen = _largest_responses(histories, window)
         path, varied = folder / _picture_of(i, window.kind), MANOEUVRE_VARIABLE[window.kind]
         drawn = [_outermost_sensor(result.points[h.name]) for h in chosen]
-        draws.append(partial(plots.draw_manoeuvre, path, title, flown, drawn, window, varied, moved))
+        plots.draw_manoeuvre(path, title, flown, drawn, window, varied, moved)
     compared = compare(result)
     if compared:
         panels = [
@@ -522,8 +514,7 @@ def _drawings(result: RunResult, folder: Path, points: Sequence[str] | None = No
             )
             for c in compared
         ]
-        draws.append(partial(plots.draw_comparison, folder / COMPARED, title, panels))
-    return draws
+        plots.draw_comparison(folder / COMPARED, title, panels)
 
 
 def _write_page(result: RunResult, folder: Path, points: Sequence[str] | None) -> None:

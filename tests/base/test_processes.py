@@ -21,7 +21,6 @@ import pytest
 from sim_heating.base.errors import InputError
 from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
 from sim_heating.base.parallel.threads import march_threads, thread_count
-from sim_heating.base.report.figure import draw_files, new_figure, save_figure
 
 HERE = os.getpid()
 ROOT = Path(__file__).parents[2]
@@ -193,23 +192,3 @@ def test_of_tasks_in_copies_of_a_process(deed):
     program = f"from {__name__} import *\nwith march_threads(2):\n    {deed.__name__}()"
     ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
-
-
-def drawn(folder: Path, threads: int) -> None:
-    def draw(path: Path) -> None:
-        figure, axes = new_figure(4.0, 3.0, 1)
-        axes[0].plot([0.0, 1.0], [300.0, 1200.0])
-        save_figure(figure, path, "one curve", axes)
-
-    folder.mkdir()
-    with march_threads(threads):
-        draw_files([partial(draw, folder / f"{n}.png") for n in range(3)])
-
-
-@pytest.mark.thorough
-def test_files_drawn_in_copies_have_the_same_bytes(tmp_path):
-    drawn(tmp_path / "here", 1)
-    program = f"from {__name__} import *\ndrawn(Path({str(tmp_path / 'copies')!r}), 2)"
-    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
-    assert len(list(tmp_path.rglob("*.png"))) == 6
-    assert len({p.read_bytes() for p in tmp_path.rglob("*.png")}) == 1

@@ -1,4 +1,4 @@
-"""Work shared out to copies of this process, one for each core: fits of candidates, pictures.
+"""Work shared out to copies of this process, one for each core: fits of candidates.
 
 Python uses one core; a copy of the process has everything in memory that its share of the work needs. A copy writes no
 file: it sends what it has made through a pipe, so that nothing remains of it where the command is ended.

@@ -32,7 +32,7 @@ from sim_heating.base.errors import or_left_out, printable, tell_left_out
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.chart import Chart, chart_data, intervals_of, script_json
-from sim_heating.base.report.figure import draw_files, explanation, picture_file
+from sim_heating.base.report.figure import explanation, picture_file
 from sim_heating.base.report.table import Table
 
 TEMPLATE = "page.html.j2"
@@ -167,16 +167,12 @@ def sections_of(makers: Mapping[str, Callable[[], Section | Sequence[Section]]])
     return sections
 
 
-def page_html(page: Page, draws: Sequence[Callable[[], object]] = ()) -> str:
-    """The page as text; everything in it is escaped.
-
-    draws : functions that make files (draw_files), called in the processes that draw the page's pictures
-    """
+def page_html(page: Page) -> str:
+    """The page as text; everything in it is escaped."""
     charts = [c for section in page.sections for c in section.charts]
     pictures = {id(c): c.picture or Picture(c.figure, c.title) for c in charts if c.pictured}
     pictures |= {id(p): p for section in page.sections for p in section.pictures}
-    before = [partial(getattr, p, "data_url") for p in pictures.values()]
-    urls = dict(zip(pictures, draw_files(draws, before), strict=True))
+    urls = {number: picture.data_url for number, picture in pictures.items()}
     scripts = _scripts(page, has_charts=bool(charts))
     return _template().render(
         page=page,
@@ -229,17 +225,13 @@ def _digest(script: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
-def write_page(path: Path, make: Callable[[], Page], draws: Sequence[Callable[[], object]] = ()) -> None:
-    """Write a page, whole or not at all; where it cannot be made, a page that gives the reason.
-
-    make  : returns the page
-    draws : functions that make files (draw_files), called in the processes that draw the page's pictures
-    """
+def write_page(path: Path, make: Callable[[], Page]) -> None:
+    """Write the page that `make` returns, whole or not at all; where it cannot be made, one that gives the reason."""
     try:
         page = make()
     except Exception as error:
         page = Page(path.stem, f"This page could not be made: {tell_left_out(path.name, error)}", [])
-    write_text_atomic(path, page_html(page, draws))
+    write_text_atomic(path, page_html(page))
 
 
 @cache
