@@ -62,7 +62,8 @@ def compiled_by_one_process(function: Any) -> Iterator[None]:
 
 def kernel(function: Any, inline: bool) -> Any:
     """numba's dispatcher of a kernel; `inline` as in jit.njit."""
-    decorate = numba.njit(nogil=True, forceinline=inline, pipeline_class=numba_private.KernelCompiler, **_ARITHMETIC)
+    # nobody calls a kernel from C: `c_function` makes an entry of its own
+    decorate = numba.njit(nogil=True, forceinline=inline, no_cfunc_wrapper=True, **_ARITHMETIC)
     return numba_private.compile_within(compiled_by_one_process, decorate(function))
 
 
@@ -73,12 +74,11 @@ def inlined_kernel(function: Any) -> Any:
 
 def c_function(signature: Any, function: Any, cache: bool) -> Any:
     """A kernel as a C function of numba."""
-    if not cache:
-        return numba.cfunc(signature, pipeline_class=numba_private.CFunctionCompiler, **_ARITHMETIC)(function)
-    if numba_private.c_function_is_cached(signature, function):
-        return numba_private.cached_c_function(signature, function, _ARITHMETIC)
+    compiled = numba.cfunc(signature, cache=cache, **_ARITHMETIC)
+    if not cache or numba_private.c_function_is_cached(signature, function):
+        return compiled(function)
     with compiled_by_one_process(function):
-        return numba_private.cached_c_function(signature, function, _ARITHMETIC)
+        return compiled(function)
 
 
 @numba.extending.overload(pointer, inline="always")

@@ -1,64 +1,28 @@
 """Parts of numba that its documentation does not promise, all in this file.
 
-Compilers with Python's garbage collection off and without entry points that nobody calls, a compilation that something
-surrounds, LLVM code for pointers, bits and calls through addresses, and the LLVM module behind a compiled function.
+A compilation that something surrounds, LLVM code for pointers, bits and calls through addresses, and the LLVM module
+behind a compiled function.
 tests/base/test_numba_private.py has a test for each: after a change of numba its name states what no longer works.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
 
 import llvmlite.ir
 import numba
 import numba.core.caching
-import numba.core.ccallback
-import numba.core.compiler
 import numba.core.compiler_lock
 import numba.core.registry
 import numba.core.sigutils
 import numba.extending
 
-from sim_heating.base.collection import without_collection
 from sim_heating.base.kernels.operations import WHOLE
 
-# Compilers -----------------------------------------------------------------------------------------------------------
-
-
-class CFunctionCompiler(numba.core.compiler.Compiler):
-    """Compiles with Python's garbage collection off, which takes a tenth of the time and finds hardly anything."""
-
-    def compile_extra(self, function: Any) -> Any:
-        with without_collection():
-            return super().compile_extra(function)
-
-
-class KernelCompiler(CFunctionCompiler):
-    """Omits the entry points of a kernel that nobody calls, an eighth of the time.
-
-    They are the one for C (compiler.c_function makes its own), and the one for Python where a kernel takes pointers,
-    which Python cannot pass.
-    """
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        flags = self.state.flags
-        flags.no_cfunc_wrapper = True
-        flags.no_cpython_wrapper = any(isinstance(argument, numba.types.CPointer) for argument in self.state.args)
-
-
-def cached_c_function(signature: Any, function: Any, options: Mapping[str, Any]) -> Any:
-    """A function as numba's cfunc makes it, loaded from the cache where that has it; options as that takes them."""
-    arguments = numba.core.sigutils.normalize_signature(signature)
-    c_function: Any = numba.core.ccallback.CFunc(
-        function, arguments, {}, dict(options), pipeline_class=CFunctionCompiler
-    )
-    c_function.enable_caching()
-    c_function.compile()
-    return c_function
+# Compilation within a lock --------------------------------------------------------------------------------------------
 
 
 def _is_cached(cache: Any, signature: Any) -> bool:
