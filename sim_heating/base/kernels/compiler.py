@@ -42,12 +42,12 @@ COMPILATION_WAIT_S = 120.0
 
 @contextmanager
 def compiled_by_one_process(function: Any) -> Iterator[None]:
-    """Wait until no other process compiles a function; where the folder takes no locks, there is no waiting.
+    """Wait until no other process compiles or loads a function; where the folder takes no locks, there is no waiting.
 
     A kernel is compiled with those that it calls, each under its own lock. Calls have no circle, so neither have the
     processes that wait for each other.
     """
-    from filelock import FileLock, Timeout  # costs 25 ms, which only a first compilation pays
+    from filelock import FileLock, Timeout  # costs 25 ms, which only a first kernel pays
 
     name = f"{function.__module__}.{function.__qualname__}:{function.__code__.co_firstlineno}"
     digest = hashlib.sha256(f"{function.__code__.co_filename} {name}".encode()).hexdigest()[:16]
@@ -75,7 +75,7 @@ def inlined_kernel(function: Any) -> Any:
 def c_function(signature: Any, function: Any, cache: bool) -> Any:
     """A kernel as a C function of numba."""
     compiled = numba.cfunc(signature, cache=cache, **_ARITHMETIC)
-    if not cache or numba_private.c_function_is_cached(signature, function):
+    if not cache:
         return compiled(function)
     with compiled_by_one_process(function):
         return compiled(function)

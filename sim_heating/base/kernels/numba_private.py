@@ -14,9 +14,7 @@ from typing import Any
 
 import llvmlite.ir
 import numba
-import numba.core.caching
 import numba.core.compiler_lock
-import numba.core.registry
 import numba.core.sigutils
 import numba.extending
 
@@ -25,20 +23,8 @@ from sim_heating.base.kernels.operations import WHOLE
 # Compilation within a lock --------------------------------------------------------------------------------------------
 
 
-def _is_cached(cache: Any, signature: Any) -> bool:
-    """Whether numba's cache of a function has it compiled for a signature, or a tuple of types of its arguments."""
-    key = cache._index_key(signature, numba.core.registry.cpu_target.target_context.codegen())
-    return key in cache._cache_file._load_index()
-
-
-def c_function_is_cached(signature: Any, function: Any) -> bool:
-    """Whether numba's cache has a function compiled as a C function of a signature, or of its text."""
-    return _is_cached(numba.core.caching.FunctionCache(function), signature_of(signature))
-
-
 def compile_within(surrounding: Callable[[Any], AbstractContextManager[None]], dispatcher: Any) -> Any:
-    """The dispatcher, which now has a cache, and enters a context before it compiles its function, not where it loads
-    it.
+    """The dispatcher, which now has a cache, and enters a context before it compiles or loads its function.
 
     surrounding : gives the context of a Python function
     """
@@ -49,8 +35,6 @@ def compile_within(surrounding: Callable[[Any], AbstractContextManager[None]], d
         # numba's lock first: a thread that waits for another process holds nothing that a thread here waits for.
         with numba.core.compiler_lock.global_compiler_lock:
             if tuple(numba.core.sigutils.normalize_signature(signature)[0]) in dispatcher.overloads:
-                return compile_now(signature)
-            if _is_cached(dispatcher._cache, signature):
                 return compile_now(signature)
             with surrounding(dispatcher.py_func):
                 return compile_now(signature)
