@@ -98,12 +98,6 @@ def test_a_loop_over_eight_lanes_becomes_vectors_of_doubles():
     assert re.search(r"fadd <\d+ x double>", one_llvm(outer))
 
 
-def test_python_calls_the_dispatcher_of_a_kernel_without_a_function_between():
-    kernel = njit(twice)
-    assert kernel(2.0) == 4.0
-    assert kernel.__call__ is kernel.dispatcher
-
-
 def test_a_pickled_kernel_is_the_kernel_of_the_process_that_has_it():
     kernel = njit(twice)
     assert pickle.loads(pickle.dumps(kernel)) is kernel

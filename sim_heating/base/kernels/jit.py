@@ -31,12 +31,9 @@ class Kernel:
     Within other kernels it stands for numba's dispatcher of it, whose attributes it has.
     """
 
-    __slots__ = ("__dict__", "__weakref__", "_call")
-
     def __init__(self, make: Callable[[], Any], compiled: Callable[[Any], Any]) -> None:
         """make : gives the function to compile;  compiled : gives numba's dispatcher of it"""
         self._make, self._compiled = make, compiled
-        self._call = self._first_call
 
     @functools.cached_property
     def py_func(self) -> Any:
@@ -48,7 +45,6 @@ class Kernel:
         """numba's dispatcher."""
         compiled = self._compiled(self.py_func)
         _KERNELS[id(compiled)] = self
-        self._call = compiled
         return compiled
 
     @property
@@ -56,12 +52,9 @@ class Kernel:
         """What numba takes the kernel for where another one calls it."""
         return self.dispatcher._numba_type_
 
-    def _first_call(self, *arguments: Any) -> Any:
-        return self.dispatcher(*arguments)
-
     def __call__(self, *arguments: Any) -> Any:
-        """The kernel's value; the line below the class puts the slot `_call` in the place of this."""
-        return self._call(*arguments)
+        """The kernel's value."""
+        return self.dispatcher(*arguments)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name in ("_make", "_compiled"):
@@ -76,9 +69,6 @@ class Kernel:
             return name
         return _kernel_with, (self.dispatcher,)
 
-
-# A host calls kernels 200 000 times a flight: Python then goes to numba's dispatcher itself, no function between them.
-Kernel.__call__ = Kernel.__dict__["_call"]  # type: ignore[method-assign]
 
 _KERNELS: WeakValueDictionary[int, Kernel] = WeakValueDictionary()
 """Kernels with a dispatcher, by its identity."""
