@@ -60,16 +60,17 @@ def compiled_by_one_process(function: Any) -> Iterator[None]:
         lock.release()
 
 
-def kernel(function: Any, inline: bool) -> Any:
-    """numba's dispatcher of a kernel; `inline` as in jit.njit."""
+def kernel(function: Any, inlined_by: str) -> Any:
+    """numba's dispatcher of a kernel.
+
+    inlined_by : `numba`, which copies the kernel into its callers before they are compiled; `LLVM`, which has to inline
+                 it into every caller; or empty
+    """
+    if inlined_by == "numba":
+        return numba.njit(inline="always", **_ARITHMETIC)(function)
     # nobody calls a kernel from C: `c_function` makes an entry of its own
-    decorate = numba.njit(nogil=True, forceinline=inline, no_cfunc_wrapper=True, **_ARITHMETIC)
+    decorate = numba.njit(nogil=True, forceinline=inlined_by == "LLVM", no_cfunc_wrapper=True, **_ARITHMETIC)
     return numba_private.compile_within(compiled_by_one_process, decorate(function))
-
-
-def inlined_kernel(function: Any) -> Any:
-    """numba's dispatcher of a kernel that is copied into its callers before they are compiled."""
-    return numba.njit(inline="always", **_ARITHMETIC)(function)
 
 
 def c_function(signature: Any, function: Any, cache: bool) -> Any:
