@@ -34,6 +34,8 @@ numba.config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 _ARITHMETIC: Mapping[str, Any] = {"fastmath": False, "error_model": "numpy"}
 """Options of every kernel that decide its bits: no reassociation, no contraction, numpy's division by zero."""
+_CALLED: Mapping[str, Any] = {**_ARITHMETIC, "nogil": True, "no_cfunc_wrapper": True}
+"""Options of a kernel that kernels or Python call; C calls none of them, `c_function` makes an entry of its own."""
 
 
 COMPILATION_WAIT_S = 120.0
@@ -68,8 +70,7 @@ def kernel(function: Any, inlined_by: str) -> Any:
     """
     if inlined_by == "numba":
         return numba.njit(inline="always", **_ARITHMETIC)(function)
-    # nobody calls a kernel from C: `c_function` makes an entry of its own
-    decorate = numba.njit(nogil=True, forceinline=inlined_by == "LLVM", no_cfunc_wrapper=True, **_ARITHMETIC)
+    decorate = numba.njit(forceinline=inlined_by == "LLVM", **_CALLED)
     return numba_private.compile_within(compiled_by_one_process, decorate(function))
 
 
