@@ -170,9 +170,6 @@ def sections_of(makers: Mapping[str, Callable[[], Section | Sequence[Section]]])
 def page_html(page: Page) -> str:
     """The page as text; everything in it is escaped."""
     charts = [c for section in page.sections for c in section.charts]
-    pictures = {id(c): c.picture or Picture(c.figure, c.title) for c in charts if c.pictured}
-    pictures |= {id(p): p for section in page.sections for p in section.pictures}
-    urls = {number: picture.data_url for number, picture in pictures.items()}
     scripts = _scripts(page, has_charts=bool(charts))
     return _template().render(
         page=page,
@@ -182,8 +179,7 @@ def page_html(page: Page) -> str:
         look=_asset(LOOK),
         style=_asset(CHART_STYLE) if charts else "",
         has_charts=bool(charts),
-        drawn=partial(_drawn, urls=urls, intervals=intervals_of(charts)),
-        url_of=lambda picture: urls[id(picture)],
+        drawn=partial(_drawn, intervals=intervals_of(charts)),
     )
 
 
@@ -197,21 +193,14 @@ def _sortable(page: Page) -> bool:
     return any(table.sortable for section in page.sections for table in section.tables)
 
 
-@dataclass(frozen=True)
-class _DrawnChart:
-    """A chart as the template shows it: its data, a sentence on their decimation, and the picture in its place; empty
-    where there is none."""
-
-    chart: Chart
-    data: Markup
-    note: str
-    picture_url: str
-
-
-def _drawn(chart: Chart, urls: Mapping[int, str], intervals: int) -> _DrawnChart:
+def _drawn(chart: Chart, intervals: int) -> dict[str, str]:
+    """A chart as the template shows it: its `data`, a `note` on their decimation, and `picture_url` of the picture in
+    its place, empty where there is none."""
     without: tuple[dict[str, Any], str] = ({}, "The data of this chart could not be made.")
     data, note = or_left_out(lambda: chart_data(chart, intervals), without, f"report, chart `{chart.title}`")
-    return _DrawnChart(chart, Markup(script_json(data)), note, urls.get(id(chart), ""))
+    picture = chart.picture or Picture(chart.figure, chart.title)
+    url = picture.data_url if chart.pictured else ""
+    return {"data": Markup(script_json(data)), "note": note, "picture_url": url}
 
 
 @cache
