@@ -47,12 +47,10 @@ class Stopwatch:
 def _time_kernels(watch: Stopwatch) -> None:
     """Have every kernel that is called from now on timed."""
 
-    def first_call(kernel: Kernel, *given: Any) -> Any:
-        made = kernel.dispatcher  # puts itself in the place of this call: timed, it takes that place instead
-        kernel._call = watch.timed(made, lambda: len(made.overloads))
-        return kernel._call(*given)
+    def call(kernel: Kernel, *arguments: Any) -> Any:
+        return watch.timed(kernel.dispatcher, lambda: len(kernel.dispatcher.overloads))(*arguments)
 
-    Kernel._first_call = first_call  # type: ignore[method-assign, assignment]
+    Kernel.__call__ = call  # type: ignore[method-assign, assignment]
 
 
 def _time_jsbsim(watch: Stopwatch) -> None:

@@ -14,7 +14,6 @@ from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.cli import console
 
 if TYPE_CHECKING:
-    from sim_heating.base.progress import Progress
     from sim_heating.base.report.table import Table
     from sim_heating.heating.edge_flow import EdgeFlow
     from sim_heating.inputs.record import Record
@@ -85,7 +84,7 @@ def run(
     """Fly a scenario: trajectory, heating, temperatures, plots."""
     from sim_heating.base.files import require_writable
     from sim_heating.simulation.results import limits_in_words, run_table
-    from sim_heating.simulation.run import files_of, fly_beside, load_writers, require_points, rmse_by_point, summary
+    from sim_heating.simulation.run import files_of, require_points, rmse_by_point, summary
 
     loaded = sh.load_scenario(scenario, root=root)
     of_bands = _members(members, bands, root)
@@ -93,8 +92,7 @@ def run(
         require_points(plot_points, loaded.names, "--plot-points")
     require_writable(out, "run", expected=files_of(loaded), inputs=loaded.files)
     with console.progress_line(loaded.title) as progress:
-        flight = fly_beside(loaded, load_writers, progress)
-        result = sh.run(loaded, flight=flight, progress=progress)
+        result = sh.run(loaded, progress=progress)
         if bands:
             from sim_heating.planning.bands import with_bands
 
@@ -167,16 +165,14 @@ def synthesize(scenario: Path, out: Path, root: Path | None) -> None:
     import numpy as np
 
     from sim_heating.base.files import require_writable
-    from sim_heating.simulation.run import fly_beside
-    from sim_heating.simulation.synthesize import files_of, load_writers
+    from sim_heating.simulation.synthesize import files_of
 
     loaded = sh.load_scenario(scenario, root=root)
     if not any(loaded.vehicle.control_point(name).sensors for name in loaded.names):
         raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
     require_writable(out, "synthesize", expected=files_of(loaded), inputs=loaded.files)
     with console.progress_line(loaded.title) as progress:
-        flight = fly_beside(loaded, load_writers, progress)
-        records = sh.synthesize(loaded, flight=flight, progress=progress)
+        records = sh.synthesize(loaded, progress=progress)
         names = sh.write_records(loaded, records, out)
     samples = sum(int(np.sum(np.isfinite(r.temperatures_K()))) for r in records.values())
     count = f"{len(records)} record" + ("s" if len(records) > 1 else "")
@@ -316,11 +312,10 @@ def predict(
 ) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
     from sim_heating.base.files import require_writable
-    from sim_heating.base.parallel.processes import in_copy
     from sim_heating.inputs.declared_effects import left_out
     from sim_heating.inputs.points import undeclared_effects
     from sim_heating.inputs.record import load_records
-    from sim_heating.simulation.predict import FILES, load_writers, summary
+    from sim_heating.simulation.predict import FILES, summary
     from sim_heating.simulation.results import prediction_table
 
     loaded = load_records(records, root=root)
@@ -338,8 +333,8 @@ def predict(
     models = _models(loaded, revised)
     of_bands = _members(members, bands, root)
 
-    def predicted(progress: Progress) -> list[Prediction]:
-        predictions = []
+    predictions = []
+    with console.progress_line("predict") as progress:
         for i, (record, (model, flow)) in enumerate(zip(loaded, models, strict=True)):
             progress(i / len(loaded), f"marching {record.name}")
             model = model.without_effects(absent)
@@ -349,12 +344,7 @@ def predict(
                 prediction = predict_with_band(record, of_bands, model, flow)
             else:
                 prediction = sh.predict(record, model, flow=flow)
-            _ = prediction.credibility  # kept with it: kernels are then loaded in one process alone
             predictions.append(prediction)
-        return predictions
-
-    with console.progress_line("predict") as progress:
-        predictions = in_copy(predicted, load_writers, progress)
         names = _write_predictions(predictions, folders, out)
     summaries = {p.record.name: summary(p) for p in predictions}
     console.print_table(prediction_table(list(summaries.values())))

@@ -277,10 +277,9 @@ def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[s
     from sim_heating.closure.report.record import write_closure  # pages are above what is computed
 
     with output_directory(out, COMMAND, inputs=[closed.report.record.directory]) as folder:
-        no_draws: list[Callable[[], object]] = []
         marches = [(closed.report.before, closed.report.after)]
-        draws = or_left_out(lambda: write_fit_data(closed.fitted, _contents(closed), folder, marches), no_draws, NAME)
-        write_closure(closed.report, folder, draws)
+        or_left_out(lambda: write_fit_data(closed.fitted, _contents(closed), folder, marches), None, NAME)
+        write_closure(closed.report, folder)
     return sorted(files_written(out))
 
 

@@ -251,12 +251,6 @@ def band_summary(prediction: Prediction) -> dict[str, object]:
     }
 
 
-def load_writers() -> None:
-    """Import what `write_prediction` needs: pictures and pages."""
-    from sim_heating.base.report import page  # noqa: F401  matplotlib is slow to import
-    from sim_heating.simulation.report import pages, plots  # noqa: F401
-
-
 def write_prediction(prediction: Prediction, out: str | os.PathLike[str]) -> list[str]:
     """Write temperatures.csv, heating.csv, summary.json, a picture and a page; returns the names of the files."""
     from sim_heating.base.report.page import write_page  # matplotlib is slow to import

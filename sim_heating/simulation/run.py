@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -14,10 +13,10 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
-from sim_heating.base.errors import InputError, RunError, error_context, failure_context
+from sim_heating.base.errors import InputError, error_context, failure_context
 from sim_heating.base.files import display_path, output_directory, suggestion, write_csv, write_json
 from sim_heating.base.files.package import package_version
-from sim_heating.base.parallel.processes import in_copy
+from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.facts.of_flight import facts_of_flight
 from sim_heating.credibility.statement import Facts, Statement, assess
@@ -28,7 +27,6 @@ from sim_heating.inputs.record import pooled_rmse_K
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
 from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.march.history import PointHistory, march_points, point_summary, table_excursions
-from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.hdf5_times import without_times
 from sim_heating.simulation.plugin import HeatingPlugin
@@ -246,13 +244,6 @@ def fly_scenario(scenario: Scenario, *, progress: Progress = no_progress, on_fra
     return flight
 
 
-def _load_march(scenario: Scenario) -> None:
-    """Load the kernels of the march, and choose the meshes of its points on trial heatings, which need no flight."""
-    points = [point_of_vehicle(scenario.vehicle, scenario.vehicle.control_point(name)) for name in scenario.names]
-    with suppress(InputError, RunError):  # the march itself tells it
-        choose_meshes(points, scenario.declared.heating.longest_step_s)
-
-
 def models_of(
     scenario: Scenario, flown: Conditions, *, truth: bool = False
 ) -> tuple[list[PointModel], list[Conditions]]:
@@ -314,22 +305,6 @@ def run(
     points = {m.name: PointResult(m, c, h) for m, c, h in zip(models, flights, histories, strict=True)}
     progress(0.85, "temperatures done")
     return RunResult(scenario, flight, points, None if alongside is None else alongside.differences_K(histories))
-
-
-def fly_beside(scenario: Scenario, load: Callable[[], object], progress: Progress = no_progress) -> Flight | None:
-    """The flight of a scenario for `run` or `synthesize`, flown by a copy of this process while this one loads.
-
-    load    : loads what is needed after the march
-    returns : None where `run` has to fly: the plug-in flies along, or an FMU has a process of its own
-    """
-    if scenario.declared.heating.alongside or scenario.declared.trajectory.source == "fmu":
-        return None
-
-    def load_all() -> None:
-        load()
-        _load_march(scenario)
-
-    return in_copy(lambda report: fly_scenario(scenario, progress=report), load_all, partial(flying, progress))
 
 
 def flying(progress: Progress, fraction: float, text: str) -> None:
@@ -444,16 +419,6 @@ def _picture_of(number: int, kind: str) -> str:
     return f"manoeuvre_{number}_{kind}.png"
 
 
-def load_writers() -> None:
-    """Import what `write_run` needs: pictures, its page, its netCDF file."""
-    import netCDF4  # noqa: F401
-    import xarray as xr
-
-    from sim_heating.simulation.report import pages, plots  # noqa: F401
-
-    xr.Dataset({"time_s": ("time", [0.0])})  # the first one looks for further libraries
-
-
 def write_run(
     result: RunResult,
     out: str | os.PathLike[str],
@@ -465,14 +430,13 @@ def write_run(
 
     points : control points that are drawn, by default all;  raises : InputError for one that was not flown
     """
-    from sim_heating.base.report.figure import draw_files  # matplotlib is slow to import
-
     with output_directory(out, "run", inputs=result.scenario.files) as folder:
         write_json(folder / SUMMARY, summary(result))
         write_csv(folder / CONDITIONS, with_reference_heating(result).columns, ".12g")
         _write_tables(result, folder)
         progress(0.92, "drawing")
-        draw_files([*_drawings(result, folder, points), partial(_write_histories, result, folder / HISTORIES)])
+        _draw(result, folder, points)
+        write_bytes_atomic(folder / HISTORIES, _netcdf(result.to_xarray()))
         progress(0.96, "writing the page")
         _write_page(result, folder, points)
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
@@ -508,12 +472,6 @@ def _write_tables(result: RunResult, folder: Path) -> None:
         write_heating_csv(point_folder / HEATING, point.history, result.limits[name])
 
 
-def _write_histories(result: RunResult, path: Path) -> None:
-    from sim_heating.base.report.figure import write_content  # matplotlib is slow to import
-
-    write_content(path, _netcdf(result.to_xarray()))
-
-
 def _netcdf(dataset: xr.Dataset) -> bytes:
     """A dataset as a netCDF file, made in memory: the library takes no names beyond the locale's encoding, and does
     not say when a disk is full."""
@@ -525,8 +483,8 @@ def _netcdf(dataset: xr.Dataset) -> bytes:
     return without_times(bytes(file.close()))
 
 
-def _drawings(result: RunResult, folder: Path, points: Sequence[str] | None = None) -> list[Callable[[], object]]:
-    """What draws each picture of a run: heating, trajectory, temperatures, each manoeuvre, measured against predicted.
+def _draw(result: RunResult, folder: Path, points: Sequence[str] | None) -> None:
+    """Draw the pictures of a run: heating, trajectory, temperatures, each manoeuvre, measured against predicted.
 
     points : names of those that are drawn, by default all
     """
@@ -534,17 +492,15 @@ def _drawings(result: RunResult, folder: Path, points: Sequence[str] | None = No
 
     title, flown, windows = result.scenario.title, result.flight.conditions, result.flight.windows
     histories = result.histories(points)
-    draws: list[Callable[[], object]] = [
-        partial(plots.draw_heating, folder / HEAT, title, histories, windows),
-        partial(plots.draw_trajectory, folder / TRAJECTORY, title, flown, windows),
-        partial(plots.draw_temperatures, folder / TEMPERATURES, title, histories, windows, result.limits),
-    ]
+    plots.draw_heating(folder / HEAT, title, histories, windows)
+    plots.draw_trajectory(folder / TRAJECTORY, title, flown, windows)
+    plots.draw_temperatures(folder / TEMPERATURES, title, histories, windows, result.limits)
     moved = result.flight.at_frame_rate()
     for i, window in enumerate(windows, start=1):
         chosen = _largest_responses(histories, window)
         path, varied = folder / _picture_of(i, window.kind), MANOEUVRE_VARIABLE[window.kind]
         drawn = [_outermost_sensor(result.points[h.name]) for h in chosen]
-        draws.append(partial(plots.draw_manoeuvre, path, title, flown, drawn, window, varied, moved))
+        plots.draw_manoeuvre(path, title, flown, drawn, window, varied, moved)
     compared = compare(result)
     if compared:
         panels = [
@@ -558,8 +514,7 @@ def _drawings(result: RunResult, folder: Path, points: Sequence[str] | None = No
             )
             for c in compared
         ]
-        draws.append(partial(plots.draw_comparison, folder / COMPARED, title, panels))
-    return draws
+        plots.draw_comparison(folder / COMPARED, title, panels)
 
 
 def _write_page(result: RunResult, folder: Path, points: Sequence[str] | None) -> None:

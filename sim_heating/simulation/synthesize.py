@@ -15,7 +15,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import DERIVED, RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError, failure_context
-from sim_heating.base.files import check, display_path, output_directory, text_bytes, toml_text, write_text_atomic
+from sim_heating.base.files import check, display_path, output_directory, toml_text, write_text_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.facts.sources import conditions_of_scenario
 from sim_heating.heating.atmosphere import G0_M_S2
@@ -357,11 +357,6 @@ def files_of(scenario: Scenario) -> list[str]:
     return [TRUTH, PAGE, *files]
 
 
-def load_writers() -> None:
-    """Import what `write_records` needs: its page."""
-    from sim_heating.simulation.report import pages  # noqa: F401  matplotlib is slow to import
-
-
 def write_records(
     scenario: Scenario | str | os.PathLike[str], records: dict[str, Record], out: str | os.PathLike[str]
 ) -> list[str]:
@@ -379,24 +374,16 @@ def write_records(
         output_directory(out, "synthesize", inputs=scenario.files, seed=seed) as folder,
         ExitStack() as parts,
     ):
-        texts = []
         for name, record in records.items():
             record_folder = parts.enter_context(record_directory(folder if len(records) == 1 else folder / name))
-            texts.append(partial(_write_texts, record_folder, record, comment))
+            for file_name, text in record_texts(record, comment=comment).items():
+                write_text_atomic(record_folder / file_name, text)
         first = next(iter(records.values()))
         flown = first.conditions
         write_text_atomic(folder / TRUTH, _truth_text(scenario, flown))
         windows = [Window(w.kind, w.start_s, w.end_s) for w in first.declared.manoeuvre]
-        write_page(folder / PAGE, lambda: records_page(scenario.title, records, windows), texts)
+        write_page(folder / PAGE, lambda: records_page(scenario.title, records, windows))
         return sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
-
-
-def _write_texts(folder: Path, record: Record, comment: str) -> None:
-    """Make the files of a record, for `draw_files` to write."""
-    from sim_heating.base.report.figure import write_content  # matplotlib is slow to import
-
-    for name, text in record_texts(record, comment=comment).items():
-        write_content(folder / name, text_bytes(text))
 
 
 def _truth_text(scenario: Scenario, flown: Conditions) -> str:

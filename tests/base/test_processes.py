@@ -12,16 +12,15 @@ import sys
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.parallel.processes import in_copy, in_processes, in_shares, in_turn
+from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
 from sim_heating.base.parallel.threads import march_threads, thread_count
-from sim_heating.base.report.figure import draw_files, new_figure, save_figure
 
 HERE = os.getpid()
 ROOT = Path(__file__).parents[2]
@@ -130,25 +129,7 @@ def an_error_is_raised_here_and_no_process_remains():
                 os.waitpid(-1, os.WNOHANG)
 
 
-def told(hear: Callable[[float, str], None], loaded: list[int]) -> tuple[int, list[int]]:
-    """Report progress twice; the process that did so, and what it knows of what was loaded."""
-    hear(0.5, "half")
-    hear(1.0, "all")
-    return os.getpid(), loaded
-
-
-def a_task_in_a_copy_tells_its_progress_while_this_process_loads():
-    loaded: list[int] = []
-    heard: list[tuple[float, str]] = []
-    process, known = in_copy(
-        partial(told, loaded=loaded), lambda: loaded.append(os.getpid()), lambda *said: heard.append(said)
-    )
-    assert heard == [(0.5, "half"), (1.0, "all")]
-    if sys.platform == "linux":
-        assert (process == HERE, known, loaded) == (False, [], [HERE])
-
-
-def refused(_hear: object, done: Path) -> None:
+def refused(done: Path) -> None:
     done.write_text(done.read_text() + "once ")
     raise InputError("stop.toml: flies no frame", "stop.toml: has no end")
 
@@ -158,7 +139,7 @@ def wrong_input_found_in_a_copy_is_told_here_and_the_work_is_not_repeated():
         done = Path(folder) / "done"
         done.write_text("")
         with pytest.raises(InputError) as found:
-            in_copy(partial(refused, done=done), lambda: None, lambda *said: None)
+            in_processes([lambda: None, partial(refused, done)])
         assert found.value.problems == ("stop.toml: flies no frame", "stop.toml: has no end")
         assert done.read_text() == "once "
     if sys.platform == "linux":
@@ -166,16 +147,14 @@ def wrong_input_found_in_a_copy_is_told_here_and_the_work_is_not_repeated():
             os.waitpid(-1, os.WNOHANG)
 
 
-def a_copy_that_is_killed_has_its_task_done_here():
-    def killed(hear: Callable[[str], None]) -> int:
-        hear("begun")
-        if os.getpid() != HERE:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return os.getpid()
+def killed() -> int:
+    if os.getpid() != HERE:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
 
-    heard: list[str] = []
-    assert in_copy(killed, lambda: None, heard.append) == HERE
-    assert set(heard) == {"begun"}
+
+def a_copy_that_is_killed_has_its_task_done_here():
+    assert in_processes([killed, killed]) == [HERE, HERE]
 
 
 @pytest.mark.thorough
@@ -204,7 +183,6 @@ def test_a_process_that_may_use_one_core_shares_nothing_out():
         a_warning_of_a_copy_is_given_here,
         a_warning_that_nobody_is_shown_has_nothing_done_again,
         an_error_is_raised_here_and_no_process_remains,
-        a_task_in_a_copy_tells_its_progress_while_this_process_loads,
         wrong_input_found_in_a_copy_is_told_here_and_the_work_is_not_repeated,
         a_copy_that_is_killed_has_its_task_done_here,
     ],
@@ -214,23 +192,3 @@ def test_of_tasks_in_copies_of_a_process(deed):
     program = f"from {__name__} import *\nwith march_threads(2):\n    {deed.__name__}()"
     ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
-
-
-def drawn(folder: Path, threads: int) -> None:
-    def draw(path: Path) -> None:
-        figure, axes = new_figure(4.0, 3.0, 1)
-        axes[0].plot([0.0, 1.0], [300.0, 1200.0])
-        save_figure(figure, path, "one curve", axes)
-
-    folder.mkdir()
-    with march_threads(threads):
-        draw_files([partial(draw, folder / f"{n}.png") for n in range(3)])
-
-
-@pytest.mark.thorough
-def test_files_drawn_in_copies_have_the_same_bytes(tmp_path):
-    drawn(tmp_path / "here", 1)
-    program = f"from {__name__} import *\ndrawn(Path({str(tmp_path / 'copies')!r}), 2)"
-    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
-    assert len(list(tmp_path.rglob("*.png"))) == 6
-    assert len({p.read_bytes() for p in tmp_path.rglob("*.png")}) == 1

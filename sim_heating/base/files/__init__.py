@@ -36,7 +36,6 @@ from sim_heating.base.files.text import (
     read_text,
     repeated_name,
     suggestion,
-    text_bytes,
     write_text_atomic,
 )
 from sim_heating.base.files.toml import (
@@ -61,7 +60,7 @@ __all__ = [
     "known_keys", "nearest_name", "output_directory", "path_below", "plain_number", "provenance_attributes",
     "raise_located", "raise_problems", "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml",
     "read_toml_dict", "repeated_name", "replace_files", "replaces_others", "replacing_others", "require_exclusive",
-    "require_writable", "results_digest", "roots_of", "settle", "settle_below", "suggestion", "text_bytes",
+    "require_writable", "results_digest", "roots_of", "settle", "settle_below", "suggestion",
     "text_digest", "toml_text", "with_digest", "with_provenance", "write_csv", "write_json", "write_own_files",
     "write_text_atomic",
 ]  # fmt: skip

@@ -184,16 +184,13 @@ def as_builtin(value: Any) -> Any:
 
 
 def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file whole or not at all; missing parent directories are created.
+    """Write a text file in UTF-8 whole or not at all; missing parent directories are created.
+
+    Bytes of a name that is not UTF-8 become escapes.
 
     raises : InputError where the place cannot be written; RunError where it is full
     """
-    write_bytes_atomic(path, text_bytes(text))
-
-
-def text_bytes(text: str) -> bytes:
-    """A text as a file has it; bytes of a name that is not UTF-8 become escapes."""
-    return text.encode("utf-8", errors="backslashreplace")
+    write_bytes_atomic(path, text.encode("utf-8", errors="backslashreplace"))
 
 
 def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:

@@ -34,6 +34,8 @@ numba.config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 _ARITHMETIC: Mapping[str, Any] = {"fastmath": False, "error_model": "numpy"}
 """Options of every kernel that decide its bits: no reassociation, no contraction, numpy's division by zero."""
+_CALLED: Mapping[str, Any] = {**_ARITHMETIC, "nogil": True, "no_cfunc_wrapper": True}
+"""Options of a kernel that kernels or Python call; C calls none of them, `c_function` makes an entry of its own."""
 
 
 COMPILATION_WAIT_S = 120.0
@@ -42,12 +44,12 @@ COMPILATION_WAIT_S = 120.0
 
 @contextmanager
 def compiled_by_one_process(function: Any) -> Iterator[None]:
-    """Wait until no other process compiles a function; where the folder takes no locks, there is no waiting.
+    """Wait until no other process compiles or loads a function; where the folder takes no locks, there is no waiting.
 
     A kernel is compiled with those that it calls, each under its own lock. Calls have no circle, so neither have the
     processes that wait for each other.
     """
-    from filelock import FileLock, Timeout  # costs 25 ms, which only a first compilation pays
+    from filelock import FileLock, Timeout  # costs 25 ms, which only a first kernel pays
 
     name = f"{function.__module__}.{function.__qualname__}:{function.__code__.co_firstlineno}"
     digest = hashlib.sha256(f"{function.__code__.co_filename} {name}".encode()).hexdigest()[:16]
@@ -60,25 +62,25 @@ def compiled_by_one_process(function: Any) -> Iterator[None]:
         lock.release()
 
 
-def kernel(function: Any, inline: bool) -> Any:
-    """numba's dispatcher of a kernel; `inline` as in jit.njit."""
-    decorate = numba.njit(nogil=True, forceinline=inline, pipeline_class=numba_private.KernelCompiler, **_ARITHMETIC)
+def kernel(function: Any, inlined_by: str) -> Any:
+    """numba's dispatcher of a kernel.
+
+    inlined_by : `numba`, which copies the kernel into its callers before they are compiled; `LLVM`, which has to inline
+                 it into every caller; or empty
+    """
+    if inlined_by == "numba":
+        return numba.njit(inline="always", **_ARITHMETIC)(function)
+    decorate = numba.njit(forceinline=inlined_by == "LLVM", **_CALLED)
     return numba_private.compile_within(compiled_by_one_process, decorate(function))
-
-
-def inlined_kernel(function: Any) -> Any:
-    """numba's dispatcher of a kernel that is copied into its callers before they are compiled."""
-    return numba.njit(inline="always", **_ARITHMETIC)(function)
 
 
 def c_function(signature: Any, function: Any, cache: bool) -> Any:
     """A kernel as a C function of numba."""
+    compiled = numba.cfunc(signature, cache=cache, **_ARITHMETIC)
     if not cache:
-        return numba.cfunc(signature, pipeline_class=numba_private.CFunctionCompiler, **_ARITHMETIC)(function)
-    if numba_private.c_function_is_cached(signature, function):
-        return numba_private.cached_c_function(signature, function, _ARITHMETIC)
+        return compiled(function)
     with compiled_by_one_process(function):
-        return numba_private.cached_c_function(signature, function, _ARITHMETIC)
+        return compiled(function)
 
 
 @numba.extending.overload(pointer, inline="always")

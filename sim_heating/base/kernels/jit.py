@@ -31,12 +31,9 @@ class Kernel:
     Within other kernels it stands for numba's dispatcher of it, whose attributes it has.
     """
 
-    __slots__ = ("__dict__", "__weakref__", "_call")
-
-    def __init__(self, make: Callable[[], Any], compiled: Callable[[Any], Any]) -> None:
-        """make : gives the function to compile;  compiled : gives numba's dispatcher of it"""
-        self._make, self._compiled = make, compiled
-        self._call = self._first_call
+    def __init__(self, make: Callable[[], Any], inlined_by: str = "") -> None:
+        """make : gives the function to compile;  inlined_by : `numba`, `LLVM`, or empty (`compiler.kernel`)"""
+        self._make, self._inlined_by = make, inlined_by
 
     @functools.cached_property
     def py_func(self) -> Any:
@@ -45,10 +42,13 @@ class Kernel:
 
     @functools.cached_property
     def dispatcher(self) -> Any:
-        """numba's dispatcher."""
-        compiled = self._compiled(self.py_func)
+        """numba's dispatcher; where compilation is disabled, the function itself."""
+        if is_interpreted():
+            return self.py_func
+        from sim_heating.base.kernels import compiler
+
+        compiled = compiler.kernel(self.py_func, self._inlined_by)
         _KERNELS[id(compiled)] = self
-        self._call = compiled
         return compiled
 
     @property
@@ -56,15 +56,12 @@ class Kernel:
         """What numba takes the kernel for where another one calls it."""
         return self.dispatcher._numba_type_
 
-    def _first_call(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: Any) -> Any:
+        """The kernel's value."""
         return self.dispatcher(*arguments)
 
-    def __call__(self, *arguments: Any) -> Any:
-        """The kernel's value; the line below the class puts the slot `_call` in the place of this."""
-        return self._call(*arguments)
-
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name in ("_make", "_compiled"):
+        if name.startswith("__") or name in ("_make", "_inlined_by"):
             raise AttributeError(name)
         return getattr(self.dispatcher, name)
 
@@ -77,9 +74,6 @@ class Kernel:
         return _kernel_with, (self.dispatcher,)
 
 
-# A host calls kernels 200 000 times a flight: Python then goes to numba's dispatcher itself, no function between them.
-Kernel.__call__ = Kernel.__dict__["_call"]  # type: ignore[method-assign]
-
 _KERNELS: WeakValueDictionary[int, Kernel] = WeakValueDictionary()
 """Kernels with a dispatcher, by its identity."""
 
@@ -88,7 +82,8 @@ def _kernel_with(dispatcher: Any) -> Kernel:
     """The kernel of a dispatcher that was pickled: the one of this process, or a new one in another process."""
     existing = _KERNELS.get(id(dispatcher))
     if existing is None:
-        existing = Kernel(lambda: dispatcher.py_func, lambda _: dispatcher)
+        existing = _KERNELS[id(dispatcher)] = Kernel(lambda: dispatcher.py_func)
+        existing.__dict__["dispatcher"] = dispatcher
     return existing
 
 
@@ -100,18 +95,9 @@ def is_interpreted() -> bool:
     return os.environ.get("NUMBA_DISABLE_JIT", "0").strip() not in ("", "0")
 
 
-def njit(function: F, inline: bool = False) -> F:
-    """Compile a kernel: no fastmath (bit-equal interpreted, jitted and exported), numpy division, GIL released.
-
-    inline : whether LLVM has to inline it into every caller (see `force_inline`)
-    """
-
-    def compiled(function: Any) -> Any:
-        from sim_heating.base.kernels import compiler
-
-        return compiler.kernel(function, inline)
-
-    return _kernel_of(function, compiled)
+def njit(function: F) -> F:
+    """Compile a kernel: no fastmath (bit-equal interpreted, jitted and exported), numpy division, GIL released."""
+    return _kernel_of(function, "")
 
 
 def inline_always(function: F) -> F:
@@ -120,24 +106,18 @@ def inline_always(function: F) -> F:
     Not for a large one: numba copies all of it, twice, and again with every caller around it, in a time that grows as
     the square of its size.
     """
-
-    def compiled(function: Any) -> Any:
-        from sim_heating.base.kernels import compiler
-
-        return compiler.inlined_kernel(function)
-
-    return _kernel_of(function, compiled)
+    return _kernel_of(function, "numba")
 
 
 def force_inline(function: F) -> F:
     """Compile a kernel like njit and inline it wherever called: a loop over lanes with calls does not vectorise."""
-    return njit(function, inline=True)
+    return _kernel_of(function, "LLVM")
 
 
-def _kernel_of(function: F, compiled: Callable[[Any], Any]) -> F:
+def _kernel_of(function: F, inlined_by: str) -> F:
     if is_interpreted():
         return function
-    return cast(F, functools.update_wrapper(Kernel(lambda: function, compiled), function))
+    return cast(F, functools.update_wrapper(Kernel(lambda: function, inlined_by), function))
 
 
 def njit_of(make: Callable[[], F]) -> F:
@@ -146,13 +126,7 @@ def njit_of(make: Callable[[], F]) -> F:
     The tables are variables of `make` that the function closes over: as such they are part of the key of the compiled
     cache, and an edited table recompiles.
     """
-
-    def compiled(function: Any) -> Any:
-        from sim_heating.base.kernels import compiler
-
-        return compiler.kernel(function, False)
-
-    return cast(F, Kernel(make, (lambda function: function) if is_interpreted() else compiled))
+    return cast(F, Kernel(make))
 
 
 def c_function(signature: Any, function: Any, cache: bool = True) -> Any:

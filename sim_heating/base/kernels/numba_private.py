@@ -1,80 +1,30 @@
 """Parts of numba that its documentation does not promise, all in this file.
 
-Compilers with Python's garbage collection off and without entry points that nobody calls, a compilation that something
-surrounds, LLVM code for pointers, bits and calls through addresses, and the LLVM module behind a compiled function.
+A compilation that something surrounds, LLVM code for pointers, bits and calls through addresses, and the LLVM module
+behind a compiled function.
 tests/base/test_numba_private.py has a test for each: after a change of numba its name states what no longer works.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
 
 import llvmlite.ir
 import numba
-import numba.core.caching
-import numba.core.ccallback
-import numba.core.compiler
 import numba.core.compiler_lock
-import numba.core.registry
 import numba.core.sigutils
 import numba.extending
 
-from sim_heating.base.collection import without_collection
 from sim_heating.base.kernels.operations import WHOLE
 
-# Compilers -----------------------------------------------------------------------------------------------------------
-
-
-class CFunctionCompiler(numba.core.compiler.Compiler):
-    """Compiles with Python's garbage collection off, which takes a tenth of the time and finds hardly anything."""
-
-    def compile_extra(self, function: Any) -> Any:
-        with without_collection():
-            return super().compile_extra(function)
-
-
-class KernelCompiler(CFunctionCompiler):
-    """Omits the entry points of a kernel that nobody calls, an eighth of the time.
-
-    They are the one for C (compiler.c_function makes its own), and the one for Python where a kernel takes pointers,
-    which Python cannot pass.
-    """
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        flags = self.state.flags
-        flags.no_cfunc_wrapper = True
-        flags.no_cpython_wrapper = any(isinstance(argument, numba.types.CPointer) for argument in self.state.args)
-
-
-def cached_c_function(signature: Any, function: Any, options: Mapping[str, Any]) -> Any:
-    """A function as numba's cfunc makes it, loaded from the cache where that has it; options as that takes them."""
-    arguments = numba.core.sigutils.normalize_signature(signature)
-    c_function: Any = numba.core.ccallback.CFunc(
-        function, arguments, {}, dict(options), pipeline_class=CFunctionCompiler
-    )
-    c_function.enable_caching()
-    c_function.compile()
-    return c_function
-
-
-def _is_cached(cache: Any, signature: Any) -> bool:
-    """Whether numba's cache of a function has it compiled for a signature, or a tuple of types of its arguments."""
-    key = cache._index_key(signature, numba.core.registry.cpu_target.target_context.codegen())
-    return key in cache._cache_file._load_index()
-
-
-def c_function_is_cached(signature: Any, function: Any) -> bool:
-    """Whether numba's cache has a function compiled as a C function of a signature, or of its text."""
-    return _is_cached(numba.core.caching.FunctionCache(function), signature_of(signature))
+# Compilation within a lock --------------------------------------------------------------------------------------------
 
 
 def compile_within(surrounding: Callable[[Any], AbstractContextManager[None]], dispatcher: Any) -> Any:
-    """The dispatcher, which now has a cache, and enters a context before it compiles its function, not where it loads
-    it.
+    """The dispatcher, which now has a cache, and enters a context before it compiles or loads its function.
 
     surrounding : gives the context of a Python function
     """
@@ -85,8 +35,6 @@ def compile_within(surrounding: Callable[[Any], AbstractContextManager[None]], d
         # numba's lock first: a thread that waits for another process holds nothing that a thread here waits for.
         with numba.core.compiler_lock.global_compiler_lock:
             if tuple(numba.core.sigutils.normalize_signature(signature)[0]) in dispatcher.overloads:
-                return compile_now(signature)
-            if _is_cached(dispatcher._cache, signature):
                 return compile_now(signature)
             with surrounding(dispatcher.py_func):
                 return compile_now(signature)

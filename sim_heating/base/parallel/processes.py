@@ -1,4 +1,4 @@
-"""Work shared out to copies of this process, one for each core: fits of candidates, pictures, a flight.
+"""Work shared out to copies of this process, one for each core: fits of candidates.
 
 Python uses one core; a copy of the process has everything in memory that its share of the work needs. A copy writes no
 file: it sends what it has made through a pipe, so that nothing remains of it where the command is ended.
@@ -20,11 +20,8 @@ from typing import Any, TypeVar
 
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.threads import march_threads, thread_count
-from sim_heating.base.progress import Progress, no_progress
 
 R = TypeVar("R")
-SAID, DONE, FAILED = "said", "done", "failed"
-"""What a copy sends: progress, its result, its error."""
 TURNS, LEAST_TOGETHER = 2, 2
 """How often a process takes numbers to work at together, and how many it takes at least."""
 PROGRESS = "rich."
@@ -78,25 +75,6 @@ def in_shares(task: Callable[[Sequence[int]], Sequence[R]], count: int) -> list[
     return in_turn(of_share, count)
 
 
-def in_copy(task: Callable[[Progress], R], meanwhile: Callable[[], object], progress: Progress) -> R:
-    """Result of a task that a copy of this process does, while this one does something else.
-
-    task      : called with what reports its progress; otherwise as a task of `in_processes`
-    meanwhile : loads what is needed after the task; without a copy it is not called
-    progress  : called here with what the task reports, from when `meanwhile` is done
-    """
-    if _processes_for(2) == 1:
-        return task(progress)
-    with march_threads(1):
-        copy = _Copy(task)
-        try:
-            meanwhile()
-            result: R = copy.result(progress)
-            return result
-        finally:
-            copy.end()
-
-
 def _processes_for(count: int) -> int:
     """How many processes do a number of tasks, this one among them."""
     return max(1, min(count, thread_count())) if _can_be_copied() else 1
@@ -106,15 +84,11 @@ def _in_copies(tasks: Sequence[Callable[[], R]]) -> list[R]:
     """Results of shares: of the first here, of each other one in a copy, or here where the copy failed."""
     copies: list[_Copy] = []
     try:
-        copies += [_Copy(partial(_alone, task)) for task in tasks[1:]]
+        copies += [_Copy(task) for task in tasks[1:]]
         return [tasks[0](), *(copy.result() for copy in copies)]
     finally:
         for copy in copies:
             copy.end()
-
-
-def _alone(task: Callable[[], R], _progress: Progress) -> R:
-    return task()
 
 
 def _can_be_copied() -> bool:
@@ -126,7 +100,7 @@ def _can_be_copied() -> bool:
 class _Copy:
     """A copy of this process that does a share of the work."""
 
-    def __init__(self, task: Callable[[Progress], Any]) -> None:
+    def __init__(self, task: Callable[[], Any]) -> None:
         self._task = task
         reading, writing = os.pipe()
         with warnings.catch_warnings():
@@ -138,22 +112,19 @@ class _Copy:
         os.close(writing)
         self._pipe = os.fdopen(reading, "rb")
 
-    def result(self, progress: Progress = no_progress) -> Any:
+    def result(self) -> Any:
         """What the copy has sent, or its error; else its share is done here."""
-        kind: str = SAID
-        content: Any = ()
+        outcome: Any = None
         with suppress(EOFError, pickle.UnpicklingError):  # of a copy that was killed
-            while kind == SAID:
-                kind, content = pickle.load(self._pipe)
-                if kind == SAID:
-                    progress(*content)
+            outcome = pickle.load(self._pipe)
         _, status = os.waitpid(self._process, 0)
         self._process = 0
-        if status != 0 or kind == SAID:
-            return self._task(progress)
-        if kind == FAILED:
-            raise content
-        return content
+        if status != 0 or outcome is None:
+            return self._task()
+        result, error = outcome
+        if error is not None:
+            raise error
+        return result
 
     def end(self) -> None:
         """End the copy where it still runs."""
@@ -165,23 +136,20 @@ class _Copy:
             self._process = 0
 
 
-def _send_result(task: Callable[[Progress], Any], writing: int) -> None:
-    """Do a share and send its result; the process ends here, without anything that Python does at its end."""
+def _send_result(task: Callable[[], Any], writing: int) -> None:
+    """Do a share and send its result and its error; the process ends here, without what Python does at its end."""
     status = 1
     shown: list[object] = []
     try:
         _end_with_parent()
         warnings.showwarning = lambda *warning, **_details: shown.append(warning)
         with os.fdopen(writing, "wb") as pipe:
-
-            def send(kind: str, content: object) -> None:
-                pipe.write(pickle.dumps((kind, content)))
-                pipe.flush()
-
+            outcome: tuple[Any, Exception | None]
             try:
-                send(DONE, task(lambda *report: send(SAID, report)))
+                outcome = task(), None
             except (InputError, RunError) as error:
-                send(FAILED, error)
+                outcome = None, error
+            pickle.dump(outcome, pipe)
         status = int(bool(shown))
     finally:
         os._exit(status)

@@ -11,7 +11,7 @@ import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -29,10 +29,8 @@ from numpy.typing import ArrayLike
 from sim_heating.base.errors import InputError, LeftOutWarning, RunError, printable, reason_of
 from sim_heating.base.files.paths import display_path
 from sim_heating.base.files.text import result_path, write_bytes_atomic
-from sim_heating.base.parallel.processes import in_processes
 
 F = TypeVar("F", bound=Callable[..., object])
-R = TypeVar("R")
 DPI = 110
 ANGLES = {
     "alpha_deg": ("angle of attack", "tab:blue"),
@@ -58,8 +56,6 @@ THERMOCOUPLE: dict[str, Any] = {
     "linewidth": 0.8,
     "label": "outermost thermocouple, predicted",
 }
-_collected: dict[Path, bytes] | None = None
-"""Files that are drawn and not to be written yet."""
 
 
 def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys: Any) -> tuple[Figure, np.ndarray]:
@@ -76,41 +72,8 @@ def save_figure(figure: Figure, path: Path | None, title: str, axes: np.ndarray)
     add_grid_and_title(figure, title, axes)
     lay_out(figure)
     if path is not None:
-        write_content(path, picture_file(figure, "png", dpi=DPI))
+        write_bytes_atomic(path, picture_file(figure, "png", dpi=DPI))
     return figure
-
-
-def write_content(path: Path, content: bytes) -> None:
-    """Write a file, or hold it where `draw_files` writes all of them in the end."""
-    if _collected is None:
-        write_bytes_atomic(path, content)
-    else:
-        _collected[path] = content
-
-
-def draw_files(draws: Sequence[Callable[[], object]], before: Sequence[Callable[[], R]] = ()) -> list[R]:
-    """Call functions that make files by `save_figure` or `write_content`, in processes of their own, and write these.
-
-    draws   : those that take longest first
-    before  : called before them in the same processes, with picklable results
-    returns : results of `before`
-    """
-    results: list[Any] = in_processes([*before, *(partial(_hold, draw) for draw in draws)])
-    for drawn in results[len(before) :]:
-        for path, content in drawn.items():
-            write_bytes_atomic(path, content)
-    return results[: len(before)]
-
-
-def _hold(draw: Callable[[], object]) -> dict[Path, bytes]:
-    """The files that a function makes, not written."""
-    global _collected
-    _collected = {}
-    try:
-        draw()
-        return _collected
-    finally:
-        _collected = None
 
 
 def picture_file(figure: Figure, kind: str, **settings: Any) -> bytes:
@@ -204,7 +167,7 @@ def replaced_if_undrawable(draw: F) -> F:
             if path is None:
                 raise
             figure = explanation(display_path(result_path(path)), error)
-            write_content(path, picture_file(figure, "png", dpi=DPI))
+            write_bytes_atomic(path, picture_file(figure, "png", dpi=DPI))
             return figure
 
     return cast(F, drawn)

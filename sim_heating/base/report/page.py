@@ -32,7 +32,7 @@ from sim_heating.base.errors import or_left_out, printable, tell_left_out
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.chart import Chart, chart_data, intervals_of, script_json
-from sim_heating.base.report.figure import draw_files, explanation, picture_file
+from sim_heating.base.report.figure import explanation, picture_file
 from sim_heating.base.report.table import Table
 
 TEMPLATE = "page.html.j2"
@@ -167,16 +167,9 @@ def sections_of(makers: Mapping[str, Callable[[], Section | Sequence[Section]]])
     return sections
 
 
-def page_html(page: Page, draws: Sequence[Callable[[], object]] = ()) -> str:
-    """The page as text; everything in it is escaped.
-
-    draws : functions that make files (draw_files), called in the processes that draw the page's pictures
-    """
+def page_html(page: Page) -> str:
+    """The page as text; everything in it is escaped."""
     charts = [c for section in page.sections for c in section.charts]
-    pictures = {id(c): c.picture or Picture(c.figure, c.title) for c in charts if c.pictured}
-    pictures |= {id(p): p for section in page.sections for p in section.pictures}
-    before = [partial(getattr, p, "data_url") for p in pictures.values()]
-    urls = dict(zip(pictures, draw_files(draws, before), strict=True))
     scripts = _scripts(page, has_charts=bool(charts))
     return _template().render(
         page=page,
@@ -186,8 +179,7 @@ def page_html(page: Page, draws: Sequence[Callable[[], object]] = ()) -> str:
         look=_asset(LOOK),
         style=_asset(CHART_STYLE) if charts else "",
         has_charts=bool(charts),
-        drawn=partial(_drawn, urls=urls, intervals=intervals_of(charts)),
-        url_of=lambda picture: urls[id(picture)],
+        drawn=partial(_drawn, intervals=intervals_of(charts)),
     )
 
 
@@ -201,21 +193,14 @@ def _sortable(page: Page) -> bool:
     return any(table.sortable for section in page.sections for table in section.tables)
 
 
-@dataclass(frozen=True)
-class _DrawnChart:
-    """A chart as the template shows it: its data, a sentence on their decimation, and the picture in its place; empty
-    where there is none."""
-
-    chart: Chart
-    data: Markup
-    note: str
-    picture_url: str
-
-
-def _drawn(chart: Chart, urls: Mapping[int, str], intervals: int) -> _DrawnChart:
+def _drawn(chart: Chart, intervals: int) -> dict[str, str]:
+    """A chart as the template shows it: its `data`, a `note` on their decimation, and `picture_url` of the picture in
+    its place, empty where there is none."""
     without: tuple[dict[str, Any], str] = ({}, "The data of this chart could not be made.")
     data, note = or_left_out(lambda: chart_data(chart, intervals), without, f"report, chart `{chart.title}`")
-    return _DrawnChart(chart, Markup(script_json(data)), note, urls.get(id(chart), ""))
+    picture = chart.picture or Picture(chart.figure, chart.title)
+    url = picture.data_url if chart.pictured else ""
+    return {"data": Markup(script_json(data)), "note": note, "picture_url": url}
 
 
 @cache
@@ -229,17 +214,13 @@ def _digest(script: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
-def write_page(path: Path, make: Callable[[], Page], draws: Sequence[Callable[[], object]] = ()) -> None:
-    """Write a page, whole or not at all; where it cannot be made, a page that gives the reason.
-
-    make  : returns the page
-    draws : functions that make files (draw_files), called in the processes that draw the page's pictures
-    """
+def write_page(path: Path, make: Callable[[], Page]) -> None:
+    """Write the page that `make` returns, whole or not at all; where it cannot be made, one that gives the reason."""
     try:
         page = make()
     except Exception as error:
         page = Page(path.stem, f"This page could not be made: {tell_left_out(path.name, error)}", [])
-    write_text_atomic(path, page_html(page, draws))
+    write_text_atomic(path, page_html(page))
 
 
 @cache

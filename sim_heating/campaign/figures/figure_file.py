@@ -13,7 +13,8 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import ArrayLike
 
 from sim_heating.base.files import write_csv
-from sim_heating.base.report.figure import DPI, picture_file, replaced_if_undrawable, save_figure, write_content
+from sim_heating.base.files.text import write_bytes_atomic
+from sim_heating.base.report.figure import DPI, picture_file, replaced_if_undrawable, save_figure
 
 PAD_INCH = 0.1
 """Empty rim about the axes: at another resolution texts are a little wider."""
@@ -82,7 +83,7 @@ class PaperFigure:
 @replaced_if_undrawable
 def draw_paper_figure(path: Path, figure: Figure) -> None:
     """Draw a figure that is laid out."""
-    write_content(path, picture_file(figure, "png", dpi=DPI))
+    write_bytes_atomic(path, picture_file(figure, "png", dpi=DPI))
 
 
 def finished(

@@ -12,7 +12,7 @@ The chance of a false alarm, an effect named where nothing is missing, is counte
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -93,16 +93,13 @@ def closure_json(closure: Closure) -> dict[str, Any]:
     }
 
 
-def write_closure(closure: Closure, folder: Path, draws: Sequence[Callable[[], object]] = ()) -> None:
-    """Write the files of a closure into an existing folder.
-
-    draws : functions that make further files (draw_files), called in the processes that draw the page's pictures
-    """
+def write_closure(closure: Closure, folder: Path) -> None:
+    """Write the files of a closure into an existing folder."""
     write_json(folder / NAME, closure_json(closure))
     or_left_out(lambda: write_residual_heating(folder / HEATING_NAME, closure.residual), None, HEATING_NAME)
     if (curve := closure.curve) is not None:
         or_left_out(lambda: write_curve(folder / CURVE_NAME, curve), None, CURVE_NAME)
-    write_page(folder / PAGE, lambda: closure_page(closure), draws)
+    write_page(folder / PAGE, lambda: closure_page(closure))
 
 
 # The page ------------------------------------------------------------------------------------------------------------

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -337,14 +336,13 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
 
     page : whether report.html is written; the report of a closed loop shows its last fit
     """
-    from sim_heating.base.report.figure import draw_files  # matplotlib is slow to import
-    from sim_heating.base.report.page import write_page
+    from sim_heating.base.report.page import write_page  # matplotlib is slow to import
     from sim_heating.estimation.report.filtered import PICTURE
     from sim_heating.estimation.report.page import estimate_page
 
     with output_directory(out, "estimate", inputs=[p.record.directory for p in fitted.after]) as folder:
         estimate = estimate_contents(fitted)
-        draw_files(write_fit_data(fitted, estimate, folder))
+        write_fit_data(fitted, estimate, folder)
         if page:
             captions = {RATIO_PICTURE: "heating ratio, declared and fitted", PICTURE: "filtered temperatures"}
             folders = _record_folders(fitted, folder)
@@ -361,34 +359,31 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
 
 def write_fit_data(
     fitted: FitResult, estimate: Estimate, folder: Path, marches: Sequence[tuple[Prediction, Prediction]] = ()
-) -> list[Callable[[], object]]:
-    """Write the numbers of a fit into an existing folder: estimate.json and temperatures.
+) -> None:
+    """Write the numbers and the pictures of a fit into an existing folder: estimate.json and temperatures.
 
     estimate : contents of estimate.json
     marches  : of each record, those of the fitted declared model and of the model found, which are shown in place of
                the fit's own
-    returns  : functions that draw its pictures there, for `draw_files`
     """
     from sim_heating.estimation.report.filtered import filtered_history, write_filtered
     from sim_heating.estimation.report.plots import DECLARED, FITTED, draw_fit, draw_profiles  # matplotlib is slow
     from sim_heating.estimation.report.ratio_plot import draw_ratio
 
     write_estimate(folder / NAME, estimate)
-    draws: list[Callable[[], object]] = []
     if fitted.profiles:
         sigmas = dict(zip(fitted.labels, fitted.bounds.sigma.tolist(), strict=True))
-        draws.append(partial(draw_profiles, folder / PROFILE_PICTURE, list(fitted.profiles.values()), sigmas))
+        draw_profiles(folder / PROFILE_PICTURE, list(fitted.profiles.values()), sigmas)
     shown, label = marches or list(zip(fitted.before, fitted.after, strict=True)), FITTED if marches else DECLARED
     parts = zip(fitted.problem.record_fits, shown, _record_folders(fitted, folder), strict=True)
     for record_fit, (before, march), record_folder in parts:
         record_folder.mkdir(exist_ok=True, parents=True)
         write_temperatures_csv(record_folder / TEMPERATURES, march.history.time_s, march.history, march.record.sensors)
         filtered = fitted.innovations is not None
-        draws.append(partial(draw_fit, record_folder / FIT_PICTURE, before, march, label=label, filtered=filtered))
-        draws.append(partial(draw_ratio, record_folder / RATIO_PICTURE, fitted, record_fit))
+        draw_fit(record_folder / FIT_PICTURE, before, march, label=label, filtered=filtered)
+        draw_ratio(record_folder / RATIO_PICTURE, fitted, record_fit)
         if fitted.innovations is not None:
             write_filtered(record_folder, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
-    return draws
 
 
 def _record_folders(fitted: FitResult, folder: Path) -> list[Path]:

@@ -17,7 +17,6 @@ import fmpy
 from fmpy.model_description import BaseUnit, ModelDescription, ModelVariable, ValidationError
 from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
 
-from sim_heating.base.collection import without_collection
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path, raise_problems, repeated_name, suggestion
 from sim_heating.base.files.units import NO_DIMENSION, Conversion, Scale, conversion, known_unit
@@ -253,8 +252,7 @@ def _description(path: Path, _: tuple[int, int, int]) -> ModelDescription:
     try:
         # Not validated at first, because FMPy rejects some valid descriptions; the schema is asked only why reading
         # failed.
-        with without_collection():
-            return fmpy.read_model_description(path, validate=False)
+        return fmpy.read_model_description(path, validate=False)
     except Exception as error:  # FMPy raises plain Exceptions, lxml its own, and both Python's
         raise InputError(f"{display_path(path)}: {DESCRIPTION} {_description_fault(path, error)}") from None
 
