@@ -17,6 +17,7 @@ from sim_heating.closure.prior.model_error import clock_prior, flight_error, fli
 from sim_heating.closure.report.record import closure_json
 from sim_heating.closure.search.heating_change import heating_change
 from sim_heating.closure.search.hypothesis import NOT_PREDICTED, adequacy_of, fitted_anew, hypothesis, scored
+from sim_heating.closure.search.joint_model import NO_CAUSE
 from sim_heating.closure.search.joint_search import search_jointly, with_common_flights
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.simulated_records import jumping_errors, slow_errors, with_simulated_p_value
@@ -207,9 +208,12 @@ def test_points_of_a_flight_that_is_stated_too_well_share_one_wider_error():
         conclusion = replace(search.conclusion, finding="none", best=none)
         alone.append(replace(search, none=none, conclusion=conclusion))
     assert all(r.none.last.size.likeliest[2] > 1.0 for r in alone)
-    parts = [base.record_fit for base in with_common_flights(alone)]
+    bases = with_common_flights(alone)
+    parts = [base.record_fit for base in bases]
     assert parts[0].model_error.flight_scale == parts[1].model_error.flight_scale > 1.0
     assert parts[0].flight_names == parts[1].flight_names != ()
+    # a cause is compared with the declared models by the evidence of one error
+    assert all(NO_CAUSE.trial(base).size is base.size is not None for base in bases)
 
 
 def test_a_clock_that_is_stated_too_well_may_be_off_by_more():

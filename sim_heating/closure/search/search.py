@@ -112,11 +112,11 @@ def search_effects(
     """
     progress(0.02, "declared model")
     before = trial_fit.declared_fit(record, names)
-    base = trial_fit.base_trial(before)
-    first = search_round(base, [], _stage(progress, 0.1, 0.35, "one effect"))
-    none = hypothesis([base], {})
+    own = trial_fit.base_trial(before)
     # candidates are compared by their log likelihoods with the error of the base, until each has its own
-    search = _Search(record, first, hypothesis([replace(base, size=None)], {}))
+    base = replace(own, size=None)
+    first = search_round(base, [], _stage(progress, 0.1, 0.35, "one effect"))
+    search = _Search(record, first, hypothesis([base], {}))
     hypotheses = [search.stack([t]) for t in _refined(first, _stage(progress, 0.35, 0.45, "one effect"))]
     discrepancies = flight_discrepancies(record.conditions)
     progress(0.45, "changes of the flight, the wall and the sensors")
@@ -126,9 +126,9 @@ def search_effects(
         hypotheses += search.fitted_on(hypotheses)
         rated = scored(search.none, hypotheses)
     if search.lacks_more(rated):
-        none, rated = _judged(none, search.further_causes(hypotheses, progress))
+        none, rated = _judged(hypothesis([own], {}), search.further_causes(hypotheses, progress))
     else:
-        none, rated = _judged(none, rated)
+        none, rated = _judged(hypothesis([own], {}), rated)
         rated = search.beside_an_error(none, rated, progress) if base.has_error else rated
     if none.last.record_fit.model_error is not None:
         rated = _worth_their_causes(none, rated)

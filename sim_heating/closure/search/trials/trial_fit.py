@@ -625,8 +625,7 @@ def unfitted(
     record_fit = base.record_fit
     record = None if changed is None else changed(record_fit.record)
     problem = candidate_problem(base, record_fit, candidate, names, record)
-    held_out = held_out_problem_with(base, candidate, names, changed)
-    return replace(base, problem=problem, held_out=held_out, size=None)
+    return replace(base, problem=problem, held_out=held_out_problem_with(base, candidate, names, changed))
 
 
 def candidate_problem(
