@@ -170,15 +170,17 @@ def with_flight_uncertainty(record, **stated):
     return replace(record, declared=record.declared.model_copy(update={"conditions": conditions}))
 
 
-def test_what_is_stated_of_a_flight_may_be_too_small_and_no_default():
+def test_what_is_stated_of_a_flight_may_be_too_small_and_a_default_too_large():
     record = load_record(RECORDS / "practice" / "p06")
     stated = flight_scales(with_flight_uncertainty(record, velocity_relative=0.003))
     # a sigma with three degrees of freedom is an error of Student's t distribution, whose tails these masses have
     cut = [np.sqrt(2.0), 2.0 * np.sqrt(2.0)]
     larger = [chi2(3).cdf(3.0 / c**2) for c in cut]
     assert list(stated.values()) == pytest.approx([1.0 - larger[0], larger[0] - larger[1], larger[1]])
-    for believed in (record, as_measured(record), load_record(RECORDS / "sts96_597")):
-        assert flight_scales(believed) == {1.0: 1.0}
+    assert flight_scales(record) == {1.0: 1.0}  # its flight is exact
+    for judged in (as_measured(record), load_record(RECORDS / "sts96_597")):
+        assert max(flight_scales(judged)) == 1.0
+        assert sum(flight_scales(judged).values()) == pytest.approx(1.0)
 
 
 def test_density_error_scatters_between_its_knots_as_at_them():

@@ -21,7 +21,7 @@ import numpy as np
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
 from sim_heating.closure.search.admissibility import OFF, far_from_declared, objections
 from sim_heating.closure.search.joint_model import Cause, JointModel
-from sim_heating.closure.search.ranking import model_bic, place_penalty, prior_penalty, scatter_price
+from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price, volume_penalty
 from sim_heating.closure.search.simulated_records import with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
@@ -172,7 +172,7 @@ class Hypothesis:
         """What its values cost by their distances from their priors, and what is common to several records [BIC]."""
         if not self.each:
             named = [t.candidate for t in self.trials if t.name != "none"]
-            return sum(prior_penalty(self.last, c) + place_penalty(self.last, c) for c in named)
+            return sum(prior_penalty(self.last, c) + volume_penalty(self.last, c) for c in named)
         common = 0.0 if self.model is None else self.model.common_cost(self.last.fit.values)
         return common + self._flight_cost
 

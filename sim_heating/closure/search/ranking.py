@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic, is_of_table, sample_count, table_log_prior
 from sim_heating.closure.verdict.policy import POLICY
@@ -105,24 +106,29 @@ def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
     return sum(map(scatter_price, trial.deviations_of(candidate.with_prior)))
 
 
-def place_penalty(trial: TrialFit, candidate: Candidate) -> float:
-    """What it costs that the place of an effect of a trial's model, such as its onset, was searched for [BIC].
+def volume_penalty(trial: TrialFit, candidate: Candidate) -> float:
+    """What the parameters of an effect of a model with an error cost by Laplace's approximation, over their k log n.
 
-        2 log(D / (sqrt(2 pi) sigma)) - log n,    0 at least
+        -log det(W^-1 V W^-1) - k log n
 
-    D from the least to the largest place that the search starts from, sigma what is left of it: the place was in
-    D / (sqrt(2 pi) sigma) others before (Laplace's approximation), of which BIC counts sqrt(n). An error of the heating
-    that starts anew pays for its place as well; an exact model has none. Source: docs/theory/model_error.md, equation
-    5e.
+    V the covariance of those that are not on a bound, W their prior standard deviations: of a place that was searched
+    for, such as an onset, D / sqrt(2 pi), D from the least to the largest place that the search starts from. k does not
+    count the clock, which every model has. An error of the heating pays for its breaks in the same way; an exact model
+    has BIC alone. Source: docs/theory/model_error.md, equation 5e.
     """
     if not trial.has_error:
         return 0.0
-    sigma = {
-        n: s for n, s, bound in zip(trial.fit.names, trial.fit.sigma, trial.fit.on_bound, strict=True) if not bound
-    }
-    counted = float(np.log(sample_count(trial.problem)))
-    places = [span / (math.sqrt(2.0 * math.pi) * sigma[n]) for n, span in candidate.spans.items() if sigma.get(n)]
-    return sum(max(2.0 * math.log(place) - counted, 0.0) for place in places if math.isfinite(place) and place > 0.0)
+    widths = {n: p.sigma for n, p in trial.definitions(candidate.with_prior).items()}
+    widths |= {n: span / math.sqrt(2.0 * math.pi) for n, span in candidate.spans.items()}
+    free = [
+        k for k, (n, bound) in enumerate(zip(trial.fit.names, trial.fit.on_bound, strict=True))
+        if not bound and 0.0 < widths.get(n, math.inf) < math.inf
+    ]  # fmt: skip
+    names = [trial.fit.names[k] for k in free]
+    W = np.diag([1.0 / widths[n] for n in names])
+    _, log_det = np.linalg.slogdet(W @ trial.fit.covariance[np.ix_(free, free)] @ W)
+    counted = sum(n != CLOCK_SKEW.name for n in names)
+    return max(-float(log_det), 0.0) - counted * float(np.log(sample_count(trial.problem)))
 
 
 def scatter_price(deviation: float) -> float:
