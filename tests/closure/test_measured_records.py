@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from scipy.signal import lfilter
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from benchmarks.challenge.record import make_and_write
 from sim_heating.closure.close import close_loop
@@ -19,6 +19,8 @@ from sim_heating.closure.search.heating_change import heating_change
 from sim_heating.closure.search.hypothesis import NOT_PREDICTED, adequacy_of, fitted_anew, hypothesis, scored
 from sim_heating.closure.search.joint_model import NO_CAUSE
 from sim_heating.closure.search.joint_search import search_jointly, with_common_flights
+from sim_heating.closure.search.ranking import prior_penalty, volume_penalty
+from sim_heating.closure.search.refine import fit_converged
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.simulated_records import jumping_errors, slow_errors, with_simulated_p_value
 from sim_heating.closure.search.trials.candidates import candidates
@@ -29,6 +31,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     declared_fit,
     fitted_values,
     problem_with,
+    sample_count,
     start_values,
     with_own_error,
 )
@@ -295,6 +298,26 @@ def test_an_effect_of_a_record_with_a_late_clock_is_known_to_the_last_reading():
         changes.append(np.max(heating_change(trial, candidate)))
     assert changes[1] > 0.0
     np.testing.assert_allclose(changes, changes[1], rtol=1e-3)
+
+
+@pytest.mark.thorough
+def test_a_gain_beside_an_error_costs_the_part_of_its_prior_that_readings_rule_out():
+    """By the integral over its prior, of which BIC has a rough estimate alone."""
+    record = as_measured(load_record(RECORDS / "practice" / "p06"))
+    base = base_trial(declared_fit(record))
+    tried = candidates(record, conditions_of_record(record), ())
+    candidate = next(c for c in tried if c.name == "sensor-bias" and len(c.names) == 1 and c.names[0].endswith("gain"))
+    (trial,) = fit_converged([base], [candidate], [fitted_values(base) | candidate.start])
+    (name,) = candidate.names
+    k, prior = trial.fit.names.index(name), trial.definitions([name])[name]
+    at, sigma = trial.fit.values[k], trial.fit.sigma[k]
+    left = norm(prior.value, prior.sigma).expect(
+        lambda b: np.exp(-0.5 * ((b - at) / sigma) ** 2), lb=at - 8.0 * sigma, ub=at + 8.0 * sigma
+    )
+    cost = prior_penalty(trial, candidate) + volume_penalty(trial, candidate) + np.log(sample_count(trial.problem))
+    assert cost == pytest.approx(-2.0 * np.log(left), abs=0.05)
+    exact = base_trial(declared_fit(load_record(RECORDS / "practice" / "p06")))
+    assert volume_penalty(exact, candidate) == 0.0
 
 
 def cause_that_predicts_worse(none, lost):
