@@ -148,7 +148,13 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
         return none, list(rated)
     leading = [*_leading(rated), *[h for h in rated if not h.admissible][: EFFORT.rivals]]
     none, *judged = _with_own_errors([none, *leading])
-    return none, scored(none, judged)
+    rated = scored(none, judged)
+    best = next((h for h in rated if h.admissible), none)
+    if best.score > -least_gain(none) or best.last.size is None:
+        return none, rated
+    # the likeliest error is sought from the values of each model: that of the best may be better for the declared one
+    none = fitted_anew(none, trial_fit.with_own_error(none.last, best.last.size))
+    return none, scored(none, rated)
 
 
 def _with_own_errors(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:

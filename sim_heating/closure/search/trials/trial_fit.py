@@ -424,23 +424,30 @@ def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, floa
         return None
 
 
-def with_own_error(trial: TrialFit) -> TrialFit:
+def with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
     """A trial with the error of its model as large as the readings say, and with the response about its own values.
 
-    The trial as it is where its model has no error, has its own already, or cannot be marched there. It is fitted on
-    from its values with the most probable size, correlation and breaks of the error, and once more as long as others
-    are more probable then and its log evidence gains one half.
+    start : what they say of the error of another model, whose most probable one is tried first; without it that of the
+            trial itself
+
+    The trial as it is where its model has no error, or cannot be marched there, where it has its own already and no
+    start is given, or where its log evidence gains less than one half from that. It is fitted on from its values with
+    the most probable size, correlation and breaks of the error, and once more as long as others are more probable then
+    and its log evidence gains one half.
     """
     most_fits, least_gain = 4, 0.5
     prior = heating_error_prior(trial.record_fit.record)
-    if trial.record_fit.model_error is None or prior is None or trial.size is not None:
+    if trial.record_fit.model_error is None or prior is None or (trial.size is not None and start is None):
         return trial
-    breaks_s: tuple[float, ...] = ()
+    breaks_s: tuple[float, ...] = () if start is None else start.likeliest[1].breaks_s
     for number in range(most_fits):
         try:
             about = _with_response(trial, breaks_s)
-            likeliest = _size_of_error(about, prior, may_break=True).likeliest
-            if number == 0 and likeliest[1].breaks_s:  # at even knots
+            if number == 0 and start is not None:
+                likeliest = start.likeliest
+            else:
+                likeliest = _size_of_error(about, prior, may_break=True).likeliest
+            if number == 0 and likeliest[1].breaks_s and start is None:  # at even knots
                 about = _with_response(trial, likeliest[1].breaks_s)
                 likeliest = _size_of_error(about, prior, may_break=True).likeliest
         except RunError:
@@ -452,7 +459,7 @@ def with_own_error(trial: TrialFit) -> TrialFit:
             return trial
         size = _size_of_error(sized, prior, may_break=True)
         sized = replace(sized, size=size)
-        if number > 0 and sized.log_evidence < trial.log_evidence + least_gain:
+        if trial.size is not None and sized.log_evidence < trial.log_evidence + least_gain:
             return trial
         trial, breaks_s = sized, size.likeliest[1].breaks_s
         if size.likeliest == likeliest:
