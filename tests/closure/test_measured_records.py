@@ -24,7 +24,7 @@ from sim_heating.closure.search.refine import fit_converged
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.simulated_records import jumping_errors, slow_errors, with_simulated_p_value
 from sim_heating.closure.search.trials.candidates import candidates
-from sim_heating.closure.search.trials.told_error import told_error
+from sim_heating.closure.search.trials.told_error import scale_in_words, told_error
 from sim_heating.closure.search.trials.trial_fit import (
     TrialFit,
     base_trial,
@@ -184,6 +184,15 @@ def test_what_is_stated_of_a_flight_may_be_too_small_and_a_default_too_large():
     for judged in (as_measured(record), load_record(RECORDS / "sts96_597")):
         assert max(flight_scales(judged)) == 1.0
         assert sum(flight_scales(judged).values()) == pytest.approx(1.0)
+
+
+def test_errors_by_a_confidence_are_not_told_as_stated():
+    assert scale_in_words({1.0: 0.7, 2.0: 0.3}) == (
+        "Its errors are as large as stated with a probability of 70 %, 2 times as large with 30 %"
+    )
+    assert scale_in_words({0.5: 0.6, 1.0: 0.4}) == (
+        "Its errors are as large as its confidence says with a probability of 40 %, 0.5 times as large with 60 %"
+    )
 
 
 def test_density_error_scatters_between_its_knots_as_at_them():

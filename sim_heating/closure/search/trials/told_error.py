@@ -33,8 +33,8 @@ class ToldError:
     largest_phase : part of the record where it does most
     flight        : by name, value and standard deviation of an error of the flight, in its unit; None where the record
                     does not tell it apart
-    flight_scale  : factor on the standard deviations that are stated of the flight -> its probability [-]; empty where
-                    none are stated
+    flight_scale  : factor on the standard deviations of the flight, stated or by its confidence -> its probability [-];
+                    empty where the flight is exact
     """
 
     relative: float
@@ -85,14 +85,13 @@ def flight_in_words(flight: Mapping[str, tuple[float, float] | None]) -> str:
 
 
 def scale_in_words(flight_scale: Mapping[float, float]) -> str:
-    """By how much the errors of a flight are larger than stated, in words.
+    """By how much the errors of a flight are larger than stated, or smaller than its confidence says, in words.
 
-    flight_scale : factor on the standard deviations as stated -> its probability [-], the smallest first
+    flight_scale : factor on the standard deviations -> its probability [-]; 1 is among them
     """
-    stated, *larger = (f"{100.0 * p:.0f} %" for p in flight_scale.values())
-    pairs = zip(list(flight_scale)[1:], larger, strict=True)
-    others = ", ".join(f"{scale:g} times as large with {p}" for scale, p in pairs)
-    return f"Its errors are as large as stated with a probability of {stated}, {others}"
+    basis = "stated" if max(flight_scale) > 1.0 else "its confidence says"
+    others = ", ".join(f"{s:g} times as large with {100.0 * p:.0f} %" for s, p in flight_scale.items() if s != 1.0)
+    return f"Its errors are as large as {basis} with a probability of {100.0 * flight_scale[1.0]:.0f} %, {others}"
 
 
 def told_error(trial: TrialFit) -> ToldError | None:
