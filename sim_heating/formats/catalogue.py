@@ -265,8 +265,8 @@ FORMATS: tuple[FileFormat, ...] = (
             "resembles": "for `partly` and `unknown`, the names in the model that `after` is of",
             "model_error": "error of that model: `relative_heating` with its 95 % limit, `correlation_s`, `rms_K`, "
             "`largest_phase`, `flight`, whose parts are null where the record does not tell them apart, and "
-            "`flight_scale`, the probabilities of factors on the standard deviations of the flight, as stated or by its "
-            "confidence, null where it has none; null where the model is exact",
+            "`flight_scale`, the probabilities of factors on the standard deviations of the flight, as stated or by "
+            "its confidence, null where it has none; null where the model is exact",
             "barred": "models that fit better and may not be named: `names`, `reason`, `delta_evidence`",
             "candidates": "of the first round: `name`, `delta_bic`, `fit_rmse_K`, `holdout_rmse_K`",
             "residual_heating": "name of the CSV with the residual as a heating ratio: `time_s, delta_ratio, sigma`",

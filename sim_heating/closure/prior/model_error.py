@@ -36,7 +36,7 @@ MEASURED_FLIGHT = HeatingErrorPrior()
 """Error of the heating of a measured flight that states none."""
 SCALES = (1.0, 2.0, 4.0)
 """Factors by which standard deviations that a record states may be too small."""
-JUDGED_SCALES = {0.25: 1 / 3, 0.5: 1 / 3, 1.0: 1 / 3}
+JUDGED_SCALES = dict.fromkeys((0.25, 0.5, 1.0), 1.0 / 3.0)
 """Factors by which standard deviations that follow from a confidence may be too large, with their probabilities."""
 KNOTS_A_SCALE, MOST_KNOTS = 3.0, 100
 """Knots of the density's error in each length that it is correlated over, and their intervals at most.
@@ -80,9 +80,8 @@ def stated_scales() -> Mapping[float, float]:
 def flight_scales(record: Record) -> Mapping[float, float]:
     """Factor on the standard deviations of a record's flight -> its prior probability [-].
 
-    Those that a record states may be too small; those that follow from a confidence are wide enough and may be too
-    large.
-    Source: docs/theory/model_error.md, equation 5a.
+    Those that a record states may be too small; those that follow from a confidence are wide enough, and may be too
+    large. Source: docs/theory/model_error.md, equation 5a.
     """
     if flight_error(record) is None:
         return AS_STATED

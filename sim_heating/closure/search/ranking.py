@@ -125,8 +125,8 @@ def volume_penalty(trial: TrialFit, candidate: Candidate) -> float:
         if not bound and 0.0 < widths.get(n, math.inf) < math.inf
     ]  # fmt: skip
     names = [trial.fit.names[k] for k in free]
-    W = np.diag([1.0 / widths[n] for n in names])
-    _, log_det = np.linalg.slogdet(W @ trial.fit.covariance[np.ix_(free, free)] @ W)
+    W = np.array([widths[n] for n in names])
+    _, log_det = np.linalg.slogdet(trial.fit.covariance[np.ix_(free, free)] / np.outer(W, W))
     counted = sum(n != CLOCK_SKEW.name for n in names)
     return max(-float(log_det), 0.0) - counted * float(np.log(sample_count(trial.problem)))
 

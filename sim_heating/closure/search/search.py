@@ -125,11 +125,12 @@ def search_effects(
     if search.lacks_more(rated):
         hypotheses += search.fitted_on(hypotheses)
         rated = scored(search.none, hypotheses)
-    if search.lacks_more(rated):
-        none, rated = _judged(hypothesis([own], {}), search.further_causes(hypotheses, progress))
-    else:
-        none, rated = _judged(hypothesis([own], {}), rated)
-        rated = search.beside_an_error(none, rated, progress) if base.has_error else rated
+    lacks_more = search.lacks_more(rated)
+    if lacks_more:
+        rated = search.further_causes(hypotheses, progress)
+    none, rated = _judged(hypothesis([own], {}), rated)
+    if base.has_error and not lacks_more:
+        rated = search.beside_an_error(none, rated, progress)
     if none.last.record_fit.model_error is not None:
         rated = _worth_their_causes(none, rated)
     conclusion, curve = conclude(none, rated), None
@@ -150,10 +151,13 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
     none, *judged = _with_own_errors([none, *leading])
     rated = scored(none, judged)
     best = next((h for h in rated if h.admissible), none)
-    if best.score > -least_gain(none) or best.last.size is None:
+    if best.score > -least_gain(none):
         return none, rated
     # the likeliest error is sought from the values of each model: that of the best may be better for the declared one
-    none = fitted_anew(none, trial_fit.with_own_error(none.last, best.last.size))
+    with_its_error = trial_fit.with_own_error(none.last, best.last.size)
+    if with_its_error is none.last:
+        return none, rated
+    none = fitted_anew(none, with_its_error)
     return none, scored(none, rated)
 
 

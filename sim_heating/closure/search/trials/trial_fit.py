@@ -38,7 +38,7 @@ from sim_heating.estimation.inference.error_likelihood import (
 )
 from sim_heating.estimation.inference.error_size import error_size
 from sim_heating.estimation.inference.likelihood import likelihood, log_likelihood
-from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
+from sim_heating.estimation.inference.model_error import Correlation, ErrorSize, HeatingErrorPrior, ModelError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
 from sim_heating.estimation.problem import FitOptions, FitProblem
@@ -439,17 +439,13 @@ def with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
     prior = heating_error_prior(trial.record_fit.record)
     if trial.record_fit.model_error is None or prior is None or (trial.size is not None and start is None):
         return trial
-    breaks_s: tuple[float, ...] = () if start is None else start.likeliest[1].breaks_s
-    for number in range(most_fits):
+    size: ErrorSize | None = None
+    for _ in range(most_fits):
         try:
-            about = _with_response(trial, breaks_s)
-            if number == 0 and start is not None:
-                likeliest = start.likeliest
+            if size is None:
+                about, likeliest = _first_error(trial, prior, start)
             else:
-                likeliest = _size_of_error(about, prior, may_break=True).likeliest
-            if number == 0 and likeliest[1].breaks_s and start is None:  # at even knots
-                about = _with_response(trial, likeliest[1].breaks_s)
-                likeliest = _size_of_error(about, prior, may_break=True).likeliest
+                about, likeliest = _likeliest_error(trial, prior, size.likeliest[1].breaks_s)
         except RunError:
             return trial
         error = about.record_fit.model_error
@@ -461,10 +457,35 @@ def with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
         sized = replace(sized, size=size)
         if trial.size is not None and sized.log_evidence < trial.log_evidence + least_gain:
             return trial
-        trial, breaks_s = sized, size.likeliest[1].breaks_s
+        trial = sized
         if size.likeliest == likeliest:
             break
     return trial
+
+
+def _first_error(
+    trial: TrialFit, prior: HeatingErrorPrior, start: ErrorSize | None
+) -> tuple[TrialFit, tuple[float, Correlation, float]]:
+    """A trial with the response about its own values, and the error that is tried first; start : of `with_own_error`.
+
+    raises : RunError where it cannot be marched
+    """
+    if start is not None:
+        return _with_response(trial, start.likeliest[1].breaks_s), start.likeliest
+    about, likeliest = _likeliest_error(trial, prior, ())
+    breaks_s = likeliest[1].breaks_s
+    return _likeliest_error(trial, prior, breaks_s) if breaks_s else (about, likeliest)
+
+
+def _likeliest_error(
+    trial: TrialFit, prior: HeatingErrorPrior, breaks_s: Sequence[float]
+) -> tuple[TrialFit, tuple[float, Correlation, float]]:
+    """A trial with the response about its own values, and its likeliest error, with finer knots about some breaks [s].
+
+    raises : RunError where it cannot be marched
+    """
+    about = _with_response(trial, breaks_s)
+    return about, _size_of_error(about, prior, may_break=True).likeliest
 
 
 def _with_response(trial: TrialFit, breaks_s: Sequence[float]) -> TrialFit:
