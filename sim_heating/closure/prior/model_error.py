@@ -22,7 +22,7 @@ from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import BY_CONFIDENCE, FlightUncertainty, Record
 
-DENSITY = "density_relative"
+DENSITY, START = "density_relative", "start_s"
 FROM_FLIGHT = ("h_ref_kg_m2_s", "H_r_J_kg", "p_surface_Pa")
 """Columns that the error of a flight acts through; one of its duration through the angles as well, where the flight has
 one clock.
@@ -118,7 +118,7 @@ def clock_prior(record: Record, agreement_s: float, *, is_free: bool = False) ->
     error = flight_error(record)
     if error is None or not (error.has_one_clock or (is_free and error.has_clock)):
         return replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)
-    sigma_s = error.uncertainty.time_shift_s
+    sigma_s = error.clock_sigma_s
     limit_s = min(max(clock_sigmas * max(flight_scales(record)) * sigma_s, agreement_s), SKEW_SPAN_S)
     return replace(CLOCK_SKEW, sigma=max(sigma_s, agreement_s), lower=-limit_s, upper=limit_s)
 
@@ -153,12 +153,24 @@ class SmoothFlightError:
         """Whether that is all of the error in time, angles and heating being of one clock."""
         return self.has_clock and self.uncertainty.time_shift_s <= SKEW_SPAN_S
 
+    @property
+    def clock_sigma_s(self) -> float:
+        """One standard deviation of the clock at the first row [s]: a record does not say about which of its times its
+        duration is off."""
+        u, t = self.uncertainty, self.flown.conditions.time_s
+        return math.hypot(u.time_shift_s, 0.5 * u.time_stretch * (t[-1] - t[0]))
+
     @cached_property
     def directions(self) -> Sequence[tuple[str, float]]:
-        """(direction,) what differs, as in a closure report, and its standard deviation in its unit."""
+        """(direction,) what differs, as in a closure report, and its standard deviation in its unit.
+
+        The wall of a flight that is later than its conditions was heated for less time before the first reading: `start_s`
+        beside the shift of its clock, as either clock may be the one that the wall was at its initial temperatures by.
+        """
         u = self.uncertainty
+        shift, start = ("time_shift_s", u.time_shift_s), (START, self.clock_sigma_s)
         single = [
-            ("time_shift_s", 0.0 if self.has_one_clock else u.time_shift_s), ("time_stretch", u.time_stretch),
+            start if self.has_one_clock else shift, ("time_stretch", u.time_stretch),
             ("velocity_relative", u.velocity_relative), ("alpha_bias_deg", u.alpha_deg),
         ]  # fmt: skip
         density = [(DENSITY, u.density_relative)] * len(self.altitudes_m)
@@ -204,6 +216,8 @@ class SmoothFlightError:
         other = shift_conditions(other, stretched_s + (float(by["time_shift_s"][0]) if "time_shift_s" in by else 0.0))
         heated = conditions_of_record(other)
         columns = {n: heated[n] for n in FROM_FLIGHT if n in heated}
+        if START in by:
+            columns["h_ref_kg_m2_s"] = columns["h_ref_kg_m2_s"] * _longer_at_start(t, float(by[START][0]))
         if self.has_one_clock:  # its shift is no direction; angles stay without their bias
             turned = shift_conditions(flown, stretched_s).conditions
             columns |= {n: turned[n] for n in ANGLES}
@@ -213,6 +227,15 @@ class SmoothFlightError:
         heating = stated.model_copy(update={"reference": "columns", "recovery": recovery})
         declared = flown.declared.model_copy(update={"heating": heating})
         return replace(flown, declared=declared, conditions=flown.conditions.with_columns(**columns))
+
+
+def _longer_at_start(time_s: FloatArray, longer_s: float) -> FloatArray:
+    """(row,) factor on the heating of a flight [-] whose wall was heated for some seconds more before the first row.
+
+    They are added within the first SKEW_SPAN_S, whose readings no fit of a clock has.
+    """
+    within = np.maximum(1.0 - (time_s - time_s[0]) / SKEW_SPAN_S, 0.0)
+    return np.asarray(np.maximum(1.0 + longer_s * within / np.trapezoid(within, time_s), 0.0))
 
 
 ALPHA = "alpha_bias_deg"
@@ -233,13 +256,7 @@ class OtherFlight:
     @cached_property
     def directions(self) -> list[tuple[str, float]]:
         """(direction,) what differs, and its standard deviation in its unit."""
-        clock = [("time_shift_s", self._shift_s)] if self.error.has_one_clock else []
-        return [*self.error.directions, *clock]
-
-    @property
-    def _shift_s(self) -> float:
-        """One standard deviation of the clock [s]."""
-        return self.scale * self.error.uncertainty.time_shift_s
+        return [("time_shift_s", sigma) if name == START else (name, sigma) for name, sigma in self.error.directions]
 
     @property
     def scale(self) -> float:
@@ -253,15 +270,13 @@ class OtherFlight:
 
     def record(self, f: FloatArray) -> Record:
         """The record along the flight that differs; f : (direction,) by how many standard deviations [-]."""
-        of_flight = f[: len(self.error.directions)]
-        other = self.error.record(of_flight)
-        if ALPHA in self.error.rows:
-            bias_deg = float((self.error.rows[ALPHA][0] @ of_flight)[0])
-            turned = other.conditions.with_columns(alpha_deg=other.conditions["alpha_deg"] + bias_deg)
+        is_clock = np.array([name == START for name, _ in self.error.directions])
+        by = {n: float((row @ f)[0]) for n, (row, _) in self.error.rows.items() if n in (ALPHA, START)}
+        other = self.error.record(np.where(is_clock, 0.0, f))
+        if ALPHA in by:
+            turned = other.conditions.with_columns(alpha_deg=other.conditions["alpha_deg"] + by[ALPHA])
             other = replace(other, conditions=turned)
-        if self.error.has_one_clock:
-            other = shift_conditions(other, float(f[-1]) * self._shift_s)
-        return other
+        return shift_conditions(other, by[START]) if START in by else other
 
 
 def other_flight(record: Record) -> OtherFlight | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW
-from sim_heating.closure.prior.model_error import SmoothFlightError
+from sim_heating.closure.prior.model_error import START, SmoothFlightError
 from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.model_error import ModelError
@@ -124,7 +124,7 @@ def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tupl
         k = trial.fit.names.index(CLOCK_SKEW.name)
         shift_s, sigma = float(trial.fit.values[k]), float(trial.fit.sigma[k])
         errors[TIME_SHIFT] = (
-            (shift_s, sigma) if 0.0 < sigma < POLICY.told_apart * flight.uncertainty.time_shift_s else None
+            (shift_s, sigma) if 0.0 < sigma < POLICY.told_apart * flight.clock_sigma_s else None
         )
     return errors
 
@@ -138,6 +138,8 @@ def told_flight(
     """
     errors: dict[str, tuple[float, float] | None] = {}
     for name, (row, prior) in flight.rows.items():
+        if name == START:  # what a clock that is off does to the wall before the first reading
+            continue
         sigma = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", row, covariance, row))))
         value = row @ f
         size = float(value[0]) if len(value) == 1 else float(np.sqrt(np.mean(value**2)))
