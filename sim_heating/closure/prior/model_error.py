@@ -164,8 +164,8 @@ class SmoothFlightError:
     def directions(self) -> Sequence[tuple[str, float]]:
         """(direction,) what differs, as in a closure report, and its standard deviation in its unit.
 
-        The wall of a flight that is later than its conditions was heated for less time before the first reading: `start_s`
-        beside the shift of its clock, as either clock may be the one that the wall was at its initial temperatures by.
+        The wall of a flight that is later than its conditions was heated for less time before the first reading:
+        `start_s`, beside the shift of its clock, as the wall may have its initial temperatures by either clock.
         """
         u = self.uncertainty
         shift, start = ("time_shift_s", u.time_shift_s), (START, self.clock_sigma_s)

@@ -225,12 +225,12 @@ def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> Sco
     """
     modes = record_fit.error_modes
     if modes is None or record_fit.error_root_K is None:
-        return ScoredReadings(*_scored(record_fit, means_K))
+        return ScoredReadings(*scored(record_fit, means_K))
     G = modes.root_K
     ends = np.cumsum([len(m) for m in means_K])[:-1]
 
     def at(u: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        total, score, weight = _scored(record_fit, [m + d for m, d in zip(means_K, np.split(G @ u, ends), strict=True)])
+        total, score, weight = scored(record_fit, [m + d for m, d in zip(means_K, np.split(G @ u, ends), strict=True)])
         return total - 0.5 * float(u @ u), score, weight
 
     # along the modes, in units of their scales, the sum has a curvature near that of the identity
@@ -287,8 +287,13 @@ class _Steps:
         return step
 
 
-def _scored(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> tuple[float, FloatArray, FloatArray]:
-    """Log likelihood, (reading,) scores [1/K] and weights [1/K2] of the readings of all channels."""
+def scored(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> tuple[float, FloatArray, FloatArray]:
+    """Log likelihood, (reading,) scores [1/K] and weights [1/K2] of the readings of all channels.
+
+    means_K : by channel, (reading,) predictions [K]
+
+    Source: docs/theory/estimation_statistics.md, equations 3 to 6.
+    """
     pairs = zip(record_fit.channels, means_K, strict=True)
     of_channels = [scores(c.intervals, m, c.noise_K(record_fit.sigma_K[c.number])) for c, m in pairs]
     return (

@@ -1,9 +1,9 @@
 """What readings say of the size of the error of their model, about a fitted model that is linear in its parameters.
 
-With the residuals r, the sensitivities J and the responses S to the heating's error, all over the noise, S = Q B' has
-as many orthonormal columns Q as the readings distinguish. The covariance C of equation 5 of docs/theory/model_error.md
-is then 1 + s^2 Q K Q', with K = B' R B and R the correlation matrix of the knots. Its eigenvalues k and eigenvectors V
-give
+With the residuals r, the sensitivities J and the responses S to the heating's error, all times the root of the
+readings' information (equation 5f of docs/theory/model_error.md), S = Q B' has as many orthonormal columns Q as the
+readings distinguish. The covariance C of equation 5 there is then 1 + s^2 Q K Q', with K = B' R B and R the correlation
+matrix of the knots. Its eigenvalues k and eigenvectors V give
 
     C^-1 = (1 - Q Q') + Q V diag(1 / (1 + s^2 k)) V' Q',
 
@@ -21,6 +21,7 @@ import numpy as np
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.estimation.inference.breaks import ReadError, log_prior, with_breaks
+from sim_heating.estimation.inference.error_likelihood import scored, scored_readings
 from sim_heating.estimation.inference.model_error import AS_STATED, Correlation, ErrorSize, HeatingErrorPrior
 from sim_heating.estimation.record_fit import LEAST_SEEN, PredictedSamples, RecordFit
 
@@ -80,11 +81,11 @@ def error_size(
 
 @dataclass(frozen=True, eq=False)
 class _SeenError:
-    """Readings as far as they tell of the heating's error and of all other unknowns, both over the noise.
+    """Readings as far as they tell of the heating's error and of all other unknowns, times the root of their information.
 
     knots_s : (knot,) of the heating's error [s];  sizes : (size,) its standard deviations [-]
     root    : (knot, mode) B;  residual : (mode,) Q' r;  others : (mode, unknown) Q' J
-    beside  : (unknown, unknown), (unknown,) and a number: J' J, J' r and r' r of what is orthogonal to Q
+    beside  : (unknown, unknown), (unknown,) and a number: J' J, J' r and r' r - 2 c of what is orthogonal to Q
     known   : (scale, unknown) information of the priors of the others;  distance : (unknown,) of their means
     drawn   : of the others, those that are the error's: the first ones;  log_scale : (scale,) sum of the logarithms of
               the factors on their standard deviations [-]
@@ -172,6 +173,36 @@ def _root(information: FloatArray) -> FloatArray:
     return np.asarray(scale[..., np.newaxis] * np.linalg.cholesky(scaled))
 
 
+def _quadratic(
+    parts: Sequence[RecordFit], samples: Sequence[Sequence[PredictedSamples]]
+) -> tuple[FloatArray, FloatArray, float]:
+    """The log likelihood of readings about the most probable error of the fitted ones, to second order.
+
+        sum_i log L_i(m_i + d) = c - sum_i (r_i - sqrt(W_i) d)^2 / 2
+
+    parts   : of a record, fitted and held out;  samples : by part, its channels at the values of the fit
+    returns : (reading,) weights W [1/K2], 0 of one that tells nothing; (reading,) r [-]; c [-]
+
+    Source: docs/theory/model_error.md, equation 5f.
+    """
+    least_weight = 1e-9  # of a word over the R^-1 of its readings [-]: within it the prediction may be anywhere
+    u = scored_readings(parts[0], [s.mean_K for s in samples[0]]).error
+    weights, scores, moves, fixed = [], [], [], 0.0
+    for part, channels in zip(parts, samples, strict=False):
+        assert part.error_root_K is not None  # the caller's records have an error
+        moved_K = part.error_root_K @ u
+        ends = np.cumsum([len(s.mean_K) for s in channels])[:-1]
+        means_K = [s.mean_K + by for s, by in zip(channels, np.split(moved_K, ends), strict=True)]
+        total, score, weight = scored(part, means_K)
+        fixed += total
+        weights.append(np.where(weight * part.reading_noise_K**2 > least_weight, weight, 0.0))
+        scores.append(score)
+        moves.append(moved_K)
+    W, v, moved_K = (np.concatenate(of_parts) for of_parts in (weights, scores, moves))
+    step = np.divide(v, np.sqrt(W), out=np.zeros_like(v), where=W > 0.0)
+    return W, np.sqrt(W) * moved_K + step, fixed + 0.5 * float(step @ step)
+
+
 def _seen(
     record_fit: RecordFit,
     samples: Sequence[PredictedSamples],
@@ -189,18 +220,16 @@ def _seen(
     error = record_fit.model_error
     assert error is not None  # the caller's records have one
     parts = [part.record_fit for part in (samples[0], *held_out[:1])]
+    weight, towards, fixed = _quadratic(parts, [list(samples), list(held_out)])
     samples = [*samples, *held_out]
-    noise = np.concatenate([part.reading_noise_K for part in parts])
-    read = np.concatenate([s.channel.intervals.centre_K for s in samples])
-    mean_K = np.concatenate([s.mean_K for s in samples])
     S, F = (np.concatenate(of_parts) for of_parts in zip(*(part.error_responses_K for part in parts), strict=True))
     # parameters that the flight's error has are integrated out with it, and come next to it
     is_clock = np.zeros(len(free), dtype=bool) if of_flight is None else of_flight & free
     order = np.concatenate([np.flatnonzero(is_clock), np.flatnonzero(free & ~is_clock)])
     sensitivity = np.concatenate([s.sensitivity for s in samples])[:, order]
-    is_read = np.isfinite(read)
-    noise_K = noise[is_read, np.newaxis]
-    r, S = (read - mean_K)[is_read] / noise[is_read], S[is_read] / noise_K
+    is_read = weight > 0.0
+    noise_K = 1.0 / np.sqrt(weight[is_read, np.newaxis])
+    r, S = towards[is_read], S[is_read] / noise_K
     J = np.column_stack([F[is_read], sensitivity[is_read]]) / noise_K
     others, directions = F.shape[1], error.flight_K.shape[-1] - len(record_fit.flight_names)
     drawn = others + int(np.count_nonzero(is_clock))
@@ -214,7 +243,8 @@ def _seen(
     Qr, QJ = Q.T @ r, Q.T @ J
     r, J = r - Q @ Qr, J - Q @ QJ
     return _SeenError(
-        knots_s=error.time_s, sizes=sizes, root=B, residual=Qr, others=QJ, beside=(J.T @ J, J.T @ r, float(r @ r)),
+        knots_s=error.time_s, sizes=sizes, root=B, residual=Qr, others=QJ,
+        beside=(J.T @ J, J.T @ r, float(r @ r) - 2.0 * fixed),
         known=np.append(np.ones(others), towards_prior[0][order]) / wider**2,
         distance=np.append(np.zeros(others), towards_prior[1][order]),
         drawn=drawn, log_scale=np.sum(np.log(wider), axis=1),

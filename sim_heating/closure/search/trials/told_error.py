@@ -123,9 +123,7 @@ def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tupl
     if flight.has_one_clock and CLOCK_SKEW.name in trial.fit.names:
         k = trial.fit.names.index(CLOCK_SKEW.name)
         shift_s, sigma = float(trial.fit.values[k]), float(trial.fit.sigma[k])
-        errors[TIME_SHIFT] = (
-            (shift_s, sigma) if 0.0 < sigma < POLICY.told_apart * flight.clock_sigma_s else None
-        )
+        errors[TIME_SHIFT] = (shift_s, sigma) if 0.0 < sigma < POLICY.told_apart * flight.clock_sigma_s else None
     return errors
 
 
