@@ -81,7 +81,7 @@ def error_size(
 
 @dataclass(frozen=True, eq=False)
 class _SeenError:
-    """Readings as far as they tell of the heating's error and of all other unknowns, times the root of their information.
+    """What readings tell of the heating's error and of all other unknowns, times the root of their information.
 
     knots_s : (knot,) of the heating's error [s];  sizes : (size,) its standard deviations [-]
     root    : (knot, mode) B;  residual : (mode,) Q' r;  others : (mode, unknown) Q' J
@@ -173,34 +173,25 @@ def _root(information: FloatArray) -> FloatArray:
     return np.asarray(scale[..., np.newaxis] * np.linalg.cholesky(scaled))
 
 
-def _quadratic(
-    parts: Sequence[RecordFit], samples: Sequence[Sequence[PredictedSamples]]
-) -> tuple[FloatArray, FloatArray, float]:
-    """The log likelihood of readings about the most probable error of the fitted ones, to second order.
+def _quadratic(record_fit: RecordFit, samples: Sequence[PredictedSamples]) -> tuple[FloatArray, FloatArray, float]:
+    """The log likelihood of fitted readings about their most probable error, to second order.
 
         sum_i log L_i(m_i + d) = c - sum_i (r_i - sqrt(W_i) d)^2 / 2
 
-    parts   : of a record, fitted and held out;  samples : by part, its channels at the values of the fit
-    returns : (reading,) weights W [1/K2], 0 of one that tells nothing; (reading,) r [-]; c [-]
+    record_fit : the record;  samples : its channels at the values of the fit
+    returns    : (reading,) weights W [1/K2], 0 of one that tells nothing; (reading,) r [-]; c [-]
 
     Source: docs/theory/model_error.md, equation 5f.
     """
     least_weight = 1e-9  # of a word over the R^-1 of its readings [-]: within it the prediction may be anywhere
-    u = scored_readings(parts[0], [s.mean_K for s in samples[0]]).error
-    weights, scores, moves, fixed = [], [], [], 0.0
-    for part, channels in zip(parts, samples, strict=False):
-        assert part.error_root_K is not None  # the caller's records have an error
-        moved_K = part.error_root_K @ u
-        ends = np.cumsum([len(s.mean_K) for s in channels])[:-1]
-        means_K = [s.mean_K + by for s, by in zip(channels, np.split(moved_K, ends), strict=True)]
-        total, score, weight = scored(part, means_K)
-        fixed += total
-        weights.append(np.where(weight * part.reading_noise_K**2 > least_weight, weight, 0.0))
-        scores.append(score)
-        moves.append(moved_K)
-    W, v, moved_K = (np.concatenate(of_parts) for of_parts in (weights, scores, moves))
+    assert record_fit.error_root_K is not None  # the caller's records have an error
+    plain_K = [s.mean_K for s in samples]
+    moved_K = record_fit.error_root_K @ scored_readings(record_fit, plain_K).error
+    ends = np.cumsum(list(map(len, plain_K)))[:-1]
+    total, v, W = scored(record_fit, [m + by for m, by in zip(plain_K, np.split(moved_K, ends), strict=True)])
+    W = np.where(W * record_fit.reading_noise_K**2 > least_weight, W, 0.0)
     step = np.divide(v, np.sqrt(W), out=np.zeros_like(v), where=W > 0.0)
-    return W, np.sqrt(W) * moved_K + step, fixed + 0.5 * float(step @ step)
+    return W, np.sqrt(W) * moved_K + step, total + 0.5 * float(step @ step)
 
 
 def _seen(
@@ -220,7 +211,12 @@ def _seen(
     error = record_fit.model_error
     assert error is not None  # the caller's records have one
     parts = [part.record_fit for part in (samples[0], *held_out[:1])]
-    weight, towards, fixed = _quadratic(parts, [list(samples), list(held_out)])
+    weight, r, fixed = _quadratic(record_fit, samples)
+    if held_out:  # which may be many words off: a rounded reading counts as one with the noise of its rounding
+        left_K = np.concatenate([s.channel.intervals.centre_K - s.mean_K for s in held_out])
+        noise_K = parts[1].reading_noise_K
+        weight = np.append(weight, np.where(np.isfinite(left_K), noise_K**-2.0, 0.0))
+        r = np.append(r, left_K / noise_K)
     samples = [*samples, *held_out]
     S, F = (np.concatenate(of_parts) for of_parts in zip(*(part.error_responses_K for part in parts), strict=True))
     # parameters that the flight's error has are integrated out with it, and come next to it
@@ -229,7 +225,7 @@ def _seen(
     sensitivity = np.concatenate([s.sensitivity for s in samples])[:, order]
     is_read = weight > 0.0
     noise_K = 1.0 / np.sqrt(weight[is_read, np.newaxis])
-    r, S = towards[is_read], S[is_read] / noise_K
+    r, S = r[is_read], S[is_read] / noise_K
     J = np.column_stack([F[is_read], sensitivity[is_read]]) / noise_K
     others, directions = F.shape[1], error.flight_K.shape[-1] - len(record_fit.flight_names)
     drawn = others + int(np.count_nonzero(is_clock))
