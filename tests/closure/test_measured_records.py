@@ -245,6 +245,18 @@ def test_a_clock_may_be_off_whatever_the_uncertainty_it_states(stated_s):
     assert ("time_shift_s" in directions) is (stated_s > SKEW_SPAN_S)
 
 
+def test_a_wall_may_be_cold_at_the_first_reading_of_a_flight_that_was_recorded_late():
+    """The wall was heated from the first reading on, by conditions that are those of four seconds before."""
+    record = with_flight_uncertainty(load_record(RECORDS / "practice" / "p06"), time_shift_s=2.0)
+    whole = record.declared.segments.model_copy(update={"fit": [(0.0, 1452.0)], "holdout": []})
+    record = replace(record, declared=record.declared.model_copy(update={"segments": whole}))
+    base = base_trial(declared_fit(shift_conditions(record, 4.0)))
+    assert fitted_values(base)["clock.skew"] == pytest.approx(-4.0, abs=0.3)
+    error = base.record_fit.model_error
+    f = dict(zip(error.flight_names, error.along_flight(base.problem.errors(base.fit.values)[0]), strict=True))
+    assert f["flight.start_s"] * 2.0 == pytest.approx(-4.0, abs=1.5)
+
+
 @pytest.mark.thorough
 def test_evidence_counts_less_where_a_recorder_has_colour():
     """The same readings with first-order noise of 20 readings' memory, as large as the white noise of the recorder."""

@@ -202,11 +202,46 @@ def test_the_size_of_an_error_is_found_from_readings_made_with_it(problem, smoot
                 + s.sigma_K * rng.standard_normal(len(s.mean_K))
             )
             made.append(replace(s, channel=replace(c, intervals=replace(c.intervals, lower_K=read, upper_K=read))))
-        sizes[true] = error_size(part, made, towards, np.array([True, True]), prior)
+        read_part = replace(part, channels=[s.channel for s in made])
+        sizes[true] = error_size(read_part, made, towards, np.array([True, True]), prior)
     assert sizes[0.0].limit() < 0.012
     assert 0.01 < sizes[0.02].mean < 0.04
     assert 0.045 < sizes[0.08].mean < 0.14
     assert sizes[0.08].likeliest[1].smooth is smooth
+
+
+def test_words_tell_the_size_of_an_error_as_their_likelihood_does(problem):
+    """Words of 17 K, of a smooth error; the likelihood is that of each error by itself, about the same parameters."""
+    record = load_record(ROOT / "scenarios" / "records" / "practice" / "p06")
+    coarse = [s.model_copy(update={"range_K": [0.0, 4400.0]}) for s in record.declared.thermocouples.sensor]
+    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": coarse})
+    record = replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
+    plain, prior = (
+        FitProblem([record], ["ratio.scale", "ratio.d_alpha"], REFERENCE),
+        HeatingErrorPrior(0.05, 60.0, 600.0),
+    )
+    smooth = problem.record_fits[0].model_error.of_size(0.06, Correlation(240.0, smooth=True))
+    words = plain.with_model_error(smooth)
+    part, rng = words.record_fits[0], np.random.default_rng(3)
+    e, samples = 0.06 * smooth.correlation_root @ rng.standard_normal(len(smooth.time_s)), words.samples(AT)
+    for k, c in enumerate(part.channels):
+        part.sigma_K[c.number] = 1.0
+        true_K = samples[k].mean_K + smooth.at(c.number, part.sample_s[c.samples])[0] @ e
+        word = np.round((true_K + rng.standard_normal(len(true_K))) / c.sensor.lsb_K)
+        read = replace(c.intervals, lower_K=(word - 0.5) * c.sensor.lsb_K, upper_K=(word + 0.5) * c.sensor.lsb_K)
+        part.channels[k] = replace(c, intervals=read)
+    size = error_size(part, words.samples(AT), (np.ones(2), np.zeros(2)), np.zeros(2, dtype=bool), prior)
+    expected, told = [], []
+    for k, correlation in enumerate(size.correlations):
+        for j in (4, 6, 8):
+            other = words.with_model_error(smooth.of_size(size.sizes[j], correlation))
+            expected.append(other.evaluate(AT).log_likelihood)
+            told.append(size.log_likelihood[0, k, j])
+    near = np.array(expected) > max(expected) - 30.0
+    assert np.argmax(told) == np.argmax(expected)
+    assert np.count_nonzero(near) > 10
+    difference = np.array(told) - expected
+    np.testing.assert_allclose(difference[near], difference[np.argmax(expected)], atol=4.0)
 
 
 @pytest.fixture(scope="module")
@@ -264,7 +299,8 @@ def error_size_at(problem, samples, free=(False,), of_flight=(False,), sigma=0.1
     """What readings say of the size of the errors about the middle of the prior of the one parameter."""
     towards = np.array([sigma**-2.0]), np.zeros(1)
     prior = HeatingErrorPrior(0.05, CORRELATION.time_s, CORRELATION.time_s)
-    return error_size(problem.record_fits[0], samples, towards, np.array(free), prior, SCALES, np.array(of_flight))
+    part = replace(problem.record_fits[0], channels=[s.channel for s in samples])
+    return error_size(part, samples, towards, np.array(free), prior, SCALES, np.array(of_flight))
 
 
 @pytest.mark.parametrize("is_clock", [False, True], ids=["flight alone", "a parameter with it"])
