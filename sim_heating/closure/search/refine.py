@@ -15,6 +15,7 @@ import numpy as np
 
 from sim_heating.base.errors import InputError
 from sim_heating.closure.search.admissibility import objections
+from sim_heating.closure.search.ranking import volume_penalty
 from sim_heating.closure.search.trials import trial_fit
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import TrialFit, delta_bic, needed_log_likelihood
@@ -39,8 +40,20 @@ def refine(
     by_name: dict[str, list[TrialFit]] = {}
     for contender in _contenders(base, forms, _fitted(base, forms, nameable)):
         by_name.setdefault(contender.name, []).append(contender)
-    chosen = [min(rivals, key=lambda t: (not t.admissible, t.delta_bic)) for rivals in by_name.values()]
+    chosen = map(_best_form, by_name.values())
     return sorted((trial_fit.with_held_out(base, t) for t in chosen), key=lambda t: t.delta_bic)
+
+
+def _best_form(rivals: Sequence[TrialFit]) -> TrialFit:
+    """The best of the fitted forms of an effect.
+
+    Of two of which one has the other's parameters and more, by BIC: a parameter that no reading tells costs nothing
+    beside an error, and leaves a fit that hardly converges. Others by what their parameters cost there.
+    """
+    best = min(rivals, key=lambda t: (not t.admissible, t.delta_bic))
+    names = {*best.candidate.names}
+    others = [t for t in rivals if not (names <= {*t.candidate.names} or {*t.candidate.names} <= names)]
+    return min([best, *others], key=lambda t: (not t.admissible, t.delta_bic + volume_penalty(t, t.candidate)))
 
 
 def fit_converged(
