@@ -216,12 +216,9 @@ def test_words_tell_the_size_of_an_error_as_their_likelihood_does(problem):
     coarse = [s.model_copy(update={"range_K": [0.0, 4400.0]}) for s in record.declared.thermocouples.sensor]
     thermocouples = record.declared.thermocouples.model_copy(update={"sensor": coarse})
     record = replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
-    plain, prior = (
-        FitProblem([record], ["ratio.scale", "ratio.d_alpha"], REFERENCE),
-        HeatingErrorPrior(0.05, 60.0, 600.0),
-    )
     smooth = problem.record_fits[0].model_error.of_size(0.06, Correlation(240.0, smooth=True))
-    words = plain.with_model_error(smooth)
+    words = FitProblem([record], ["ratio.scale", "ratio.d_alpha"], REFERENCE).with_model_error(smooth)
+    prior = HeatingErrorPrior(0.05, 60.0, 600.0)
     part, rng = words.record_fits[0], np.random.default_rng(3)
     e, samples = 0.06 * smooth.correlation_root @ rng.standard_normal(len(smooth.time_s)), words.samples(AT)
     for k, c in enumerate(part.channels):

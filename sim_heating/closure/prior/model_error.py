@@ -98,7 +98,7 @@ def flight_error(record: Record) -> SmoothFlightError | None:
     z = record.conditions["altitude_m"]
     count = min(math.ceil(KNOTS_A_SCALE * (z.max() - z.min()) / stated.density_scale_m), MOST_KNOTS)
     error = SmoothFlightError(record, stated, np.linspace(z.min(), z.max(), max(count, 1) + 1))
-    return error if error.directions or error.has_clock else None
+    return error if error.directions else None
 
 
 def clock_prior(record: Record, agreement_s: float, *, is_free: bool = False) -> Parameter:
