@@ -176,7 +176,7 @@ class FitProblem:
         if all(record_fit.model_error is None for record_fit in self.record_fits):
             return self
         errors = [part.model_error for part in self.record_fits]
-        return self.with_model_errors([None if e is None else e.of_size(0.0, e.correlation) for e in errors])
+        return self.with_model_errors([None if e is None else e.without_heating() for e in errors])
 
     def with_flight_unknowns(self, limit: float = math.inf) -> FitProblem:
         """The problem with the errors of its flights as unknowns, which several records of one flight may share.

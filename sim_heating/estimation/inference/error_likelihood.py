@@ -36,6 +36,9 @@ STEP = 0.02
 """Relative change of the heating for the derivative of the readings [-]."""
 KNOTS_A_TIME = 4.0
 """Knots of slow noise in each of its correlation times."""
+FORM_ERROR, FORM_SHARE, FORM_KNOTS = 0.2, 0.25, 12
+"""Standard deviation of the relative error of what a cause changes [-], its correlation time over the length of a
+record [-], and the knots of it: a choice."""
 SETTLED, MOST_STEPS = 1e-3, 100
 """Change of u, in its standard deviations given the readings, at which the inner iteration has converged [-], and its
 most steps."""
@@ -147,6 +150,31 @@ def _white_K(record_fit: RecordFit, values: FloatArray, noise: HeatingNoise) -> 
     histories = [flown, *(flown.with_columns(h_ref_kg_m2_s=h) for h in scaled)]
     T = _marched_K(record_fit, values, [condition_history(h) for h in histories])
     return np.asarray(np.moveaxis(T[1:] - T[0], 0, -1) / STEP * sizes)
+
+
+def form_root_K(changes_K: Sequence[FloatArray], time_s: FloatArray, noise_K: FloatArray) -> FloatArray | None:
+    """(sensor, sample, value) root of the covariance that the errors of the forms of causes give the readings [K].
+
+    changes_K : by cause, (sensor, sample) what it changes [K];  time_s : (sample,) [s]
+    noise_K   : (sensor,) standard deviation of a reading [K]
+    returns   : directions that the readings see; None where they see none
+
+    Source: docs/theory/model_error.md, equation 1b.
+    """
+    least_seen = 0.1  # of the noise of a reading, over all readings of a direction [-]
+    knots_s = np.linspace(time_s[0], time_s[-1], FORM_KNOTS)
+    root = Correlation(FORM_SHARE * (time_s[-1] - time_s[0]), smooth=True).root(knots_s)
+    e = FORM_ERROR * np.array([np.interp(time_s, knots_s, hat) for hat in np.eye(FORM_KNOTS)]).T @ root
+    columns = []
+    for sensor, sigma_K in enumerate(noise_K):
+        for change_K in changes_K:
+            U, seen, _ = np.linalg.svd(change_K[sensor, :, np.newaxis] / sigma_K * e, full_matrices=False)
+            is_seen = seen > least_seen
+            part = np.zeros((*change_K.shape, np.count_nonzero(is_seen)))
+            part[sensor] = sigma_K * U[:, is_seen] * seen[is_seen]
+            columns.append(part)
+    root_K = np.concatenate(columns, axis=-1) if columns else np.zeros(0)
+    return root_K if root_K.size else None
 
 
 def _correlated_noise(record_fit: RecordFit) -> dict[int, CorrelatedNoise]:

@@ -13,7 +13,7 @@ two parts that are both positive, so that nothing is lost where the error takes 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -194,6 +194,16 @@ def _quadratic(record_fit: RecordFit, samples: Sequence[PredictedSamples]) -> tu
     return W, np.sqrt(W) * moved_K + step, total + 0.5 * float(step @ step)
 
 
+def _whitening(root: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], float]:
+    """What multiplies values by C^(-1/2), and log det C / 2, of readings with the covariance C = 1 + E E' [-].
+
+    root : (reading, unknown) E, of errors that neither the size of the heating's error nor that of the flight changes
+    """
+    U, s, _ = np.linalg.svd(root, full_matrices=False)
+    taken = 1.0 - 1.0 / np.hypot(1.0, s)
+    return lambda x: x - (U * taken) @ (U.T @ x), float(np.sum(np.log(np.hypot(1.0, s))))
+
+
 def _seen(
     record_fit: RecordFit,
     samples: Sequence[PredictedSamples],
@@ -225,13 +235,14 @@ def _seen(
     sensitivity = np.concatenate([s.sensitivity for s in samples])[:, order]
     is_read = weight > 0.0
     noise_K = 1.0 / np.sqrt(weight[is_read, np.newaxis])
-    r, S = r[is_read], S[is_read] / noise_K
-    J = np.column_stack([F[is_read], sensitivity[is_read]]) / noise_K
-    others, directions = F.shape[1], error.flight_K.shape[-1] - len(record_fit.flight_names)
+    others = error.flight_K.shape[-1] - len(record_fit.flight_names)
+    white, log_volume = _whitening(F[is_read, others:] / noise_K)
+    r, S = white(r[is_read]), white(S[is_read] / noise_K)
+    J = white(np.column_stack([F[:, :others], sensitivity])[is_read] / noise_K)
     drawn = others + int(np.count_nonzero(is_clock))
     factors = np.array(list(scales))[:, np.newaxis]
     wider = np.ones((len(scales), J.shape[1]))
-    wider[:, :directions] = factors / error.flight_scale
+    wider[:, :others] = factors / error.flight_scale
     wider[:, others:drawn] = factors
     Q, values, W = np.linalg.svd(S, full_matrices=False)
     is_seen = values * math.sqrt(len(error.time_s)) * sizes[-1] > LEAST_SEEN
@@ -240,7 +251,7 @@ def _seen(
     r, J = r - Q @ Qr, J - Q @ QJ
     return _SeenError(
         knots_s=error.time_s, sizes=sizes, root=B, residual=Qr, others=QJ,
-        beside=(J.T @ J, J.T @ r, float(r @ r) - 2.0 * fixed),
+        beside=(J.T @ J, J.T @ r, float(r @ r) - 2.0 * fixed + 2.0 * log_volume),
         known=np.append(np.ones(others), towards_prior[0][order]) / wider**2,
         distance=np.append(np.zeros(others), towards_prior[1][order]),
         drawn=drawn, log_scale=np.sum(np.log(wider), axis=1),

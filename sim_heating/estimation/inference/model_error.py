@@ -251,9 +251,11 @@ class ModelError:
     heating_noise : white noise of the heating, which the noise of the conditions gives; None without any
     white_K    : (sensor, sample, value) change of a reading for one standard deviation of each value of the heating's
                  white noise [K]; None without any
+    form_K     : (sensor, sample, value) that for each value of the errors that the forms of its causes have [K]; None
+                 where these are exact
 
-    The unknowns u are those of the heating, of the flight, of the noise of each sensor and of the heating's white
-    noise, in this order.
+    The unknowns u are those of the heating, of the flight, of the noise of each sensor, of the heating's white noise
+    and of the forms, in this order.
     """
 
     time_s: FloatArray
@@ -266,6 +268,7 @@ class ModelError:
     noise: Mapping[int, CorrelatedNoise] = field(default_factory=dict)
     heating_noise: HeatingNoise | None = None
     white_K: FloatArray | None = None
+    form_K: FloatArray | None = None
 
     @property
     def is_noise_alone(self) -> bool:
@@ -300,6 +303,10 @@ class ModelError:
             return sized
         wider = flight_scale / self.flight_scale
         return replace(sized, flight=self.flight.of_scale(flight_scale), flight_K=wider * self.flight_K)
+
+    def without_heating(self) -> ModelError:
+        """The error of the flight and the noise alone: s = 0 in docs/theory/model_error.md, equation 1."""
+        return replace(self.of_size(0.0, self.correlation), form_K=None)
 
     def heating(self, u: FloatArray) -> FloatArray:
         """(knot,) relative error of the heating [-] by the (unknown,) u of the error [-].
@@ -341,7 +348,7 @@ class ModelError:
         """
         k = np.searchsorted(self.sample_s, time_s)
         others = [np.zeros((len(k), len(n.time_s))) if i != sensor else n.at(time_s) for i, n in self.noise.items()]
-        others += [] if self.white_K is None else [self.white_K[sensor, k]]
+        others += [K[sensor, k] for K in (self.white_K, self.form_K) if K is not None]
         return self.heating_K[sensor, k], np.column_stack([self.flight_K[sensor, k], *others])
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
+from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, RATIO, Parameter
 from sim_heating.closure.prior.model_error import clock_prior, flight_error, flight_scales, heating_error_prior
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
@@ -31,6 +31,7 @@ from sim_heating.estimation.inference.conditions_noise import heating_noise
 from sim_heating.estimation.inference.error_likelihood import (
     ErrorState,
     even_knots_s,
+    form_root_K,
     innovations,
     model_error,
     noise_error,
@@ -51,7 +52,7 @@ from sim_heating.estimation.record_fit import (
     take_error,
 )
 from sim_heating.estimation.side_by_side import maximise_together
-from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.effects import EffectUse, effects
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
@@ -424,7 +425,35 @@ def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, floa
         return None
 
 
+LEAST_GAIN = 0.5
+"""Gain in log evidence by another error of a model that it is fitted again for [-]."""
+
+
 def with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
+    """A trial with the error of its model as large as the readings say, the forms of its causes exact or not.
+
+    start : as `_with_own_error` has it
+
+    Either is as probable before, and the better one is taken. Source: docs/theory/model_error.md, equation 1b.
+    """
+    own, prior = _with_own_error(trial, start), heating_error_prior(trial.record_fit.record)
+    error = own.record_fit.model_error
+    if own.size is None or own is trial or error is None or prior is None:
+        return own
+    try:
+        other = with_error(own, replace(error, form_K=None if error.form_K is not None else _form_K(own)))
+        if other.record_fit.model_error.form_K is error.form_K:
+            return own
+        size = _size_of_error(other, prior, may_break=True)
+    except RunError:
+        return own
+    if size.evidence < own.size.evidence + LEAST_GAIN:
+        return own
+    other = _with_own_error(replace(other, size=None), size)
+    return other if other.size is not None and other.log_evidence > own.log_evidence + LEAST_GAIN else own
+
+
+def _with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
     """A trial with the error of its model as large as the readings say, and with the response about its own values.
 
     start : what they say of the error of another model, whose most probable one is tried first; without it that of the
@@ -435,7 +464,7 @@ def with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
     the most probable size, correlation and breaks of the error, and once more as long as others are more probable then
     and its log evidence gains one half.
     """
-    most_fits, least_gain = 4, 0.5
+    most_fits = 4
     prior = heating_error_prior(trial.record_fit.record)
     if trial.record_fit.model_error is None or prior is None or (trial.size is not None and start is None):
         return trial
@@ -455,7 +484,7 @@ def with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
             return trial
         size = _size_of_error(sized, prior, may_break=True)
         sized = replace(sized, size=size)
-        if trial.size is not None and sized.log_evidence < trial.log_evidence + least_gain:
+        if trial.size is not None and sized.log_evidence < trial.log_evidence + LEAST_GAIN:
             return trial
         trial = sized
         if size.likeliest == likeliest:
@@ -500,9 +529,51 @@ def _with_response(trial: TrialFit, breaks_s: Sequence[float]) -> TrialFit:
     all_samples = candidate_problem(trial, record_fit, NO_EFFECT, sample_masks=either).record_fits[0]
     knots_s = finer_knots(even_knots_s(all_samples), breaks_s)
     alike = replace(now.correlation, breaks_s=())  # breaks are sought again, at these knots
-    return with_error(
-        trial, model_error(all_samples, trial.fit.values, now.sigma, alike, now.flight, now.heating_noise, knots_s)
-    )
+    error = model_error(all_samples, trial.fit.values, now.sigma, alike, now.flight, now.heating_noise, knots_s)
+    return with_error(trial, error if now.form_K is None else replace(error, form_K=_form_K(trial)))
+
+
+def _form_K(trial: TrialFit) -> FloatArray | None:
+    """(sensor, sample, value) response of the readings to the errors of the forms of a trial's causes [K]; None without
+    any.
+
+    raises : RunError where it cannot be marched without one of them
+    """
+    record_fit, record = trial.record_fit, trial.record_fit.record
+    either = [record.fit_mask() | record.holdout_mask()]
+    problem = candidate_problem(trial, record_fit, NO_EFFECT, sample_masks=either)
+    all_samples, by_name = problem.record_fits[0], fitted_values(trial)
+    all_samples.correction_K = 0.0
+    sensors, samples = len(record.sensors), len(all_samples.sample_s)
+    noise_K = np.ones(sensors)
+
+    def read_K(values: Mapping[str, float]) -> FloatArray:
+        indicated = np.zeros((sensors, samples))
+        for s in problem.samples(start_values(problem, values)):
+            indicated[s.channel.number, s.channel.samples] = s.mean_K
+            noise_K[s.channel.number] = math.hypot(np.max(s.spread_K), s.channel.sensor.lsb_K / math.sqrt(12.0))
+        return indicated
+
+    with_all = read_K(by_name)
+    changes_K = [with_all - read_K(by_name | none) for none in _without_each_cause(trial)]
+    return form_root_K(changes_K, all_samples.sample_s, noise_K)
+
+
+def _without_each_cause(trial: TrialFit) -> list[dict[str, float]]:
+    """By cause of a trial's model, its parameters with the values at which it does nothing."""
+    fit = trial.record_fit
+    declared = {used.effect.name for used in fit.record.declared.heating.effects}
+    causes: dict[str, dict[str, float]] = {}
+    for name in (*fit.march_names, *fit.sensor_names):
+        if name in OF_TABLE or name == CLOCK_SKEW.name:
+            continue
+        of_effect = name.split(".")[1] if name.startswith(EFFECT_PREFIX) else ""
+        effect = None if of_effect in declared else effects().get(of_effect)
+        value = trial.definitions([name])[name].value
+        if effect is not None:
+            value = effect.neutral.get(name.rpartition(".")[2], value)
+        causes.setdefault(of_effect or name, {})[name] = value
+    return list(causes.values())
 
 
 def fitted_on(trial: TrialFit, settings: NewtonSettings) -> TrialFit:
