@@ -413,6 +413,17 @@ def test_a_clock_within_its_uncertainty_is_an_error_of_the_flight(later_s):
 
 
 @pytest.mark.thorough
+def test_what_a_form_leaves_is_no_further_cause(tmp_path):
+    """Flow into a gap of a bell shape, where the library has another: without an error of its form a wrong gain and a
+    lag of thermocouples follow what it leaves."""
+    name, _, _ = make_and_write((791, 3, "one", tmp_path, True))
+    result = search_effects(load_record(tmp_path / name))
+    assert result.conclusion.finding == "found"
+    assert result.names == ("gap-flow",)
+    assert result.conclusion.best.last.record_fit.model_error.form_K is not None
+
+
+@pytest.mark.thorough
 def test_an_error_of_the_heating_hides_no_second_and_third_cause(tmp_path):
     """It takes up what the first cause leaves, so that this explains the record by itself."""
     name, answer, _ = make_and_write((784, 0, "three", tmp_path, True))

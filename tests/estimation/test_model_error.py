@@ -12,6 +12,8 @@ from scipy.stats import multivariate_normal
 from sim_heating.closure.prior.model_error import flight_error
 from sim_heating.estimation.inference.breaks import ReadError, log_prior, with_breaks
 from sim_heating.estimation.inference.error_likelihood import (
+    FORM_ERROR,
+    form_root_K,
     innovations,
     model_error,
     parameter_root_K,
@@ -300,16 +302,53 @@ def error_size_at(problem, samples, free=(False,), of_flight=(False,), sigma=0.1
     return error_size(part, samples, towards, np.array(free), prior, SCALES, np.array(of_flight))
 
 
+def with_form_error(problem):
+    """The problem with an error of the form of a cause that warms all sensors by some kelvin."""
+    error = problem.record_fits[0].model_error
+    sensors, samples = error.heating_K.shape[:2]
+    change_K = np.linspace(3.0, 9.0, sensors)[:, np.newaxis] * np.linspace(-1.0, 1.0, samples) ** 2
+    form_K = form_root_K([change_K], error.sample_s, np.full(sensors, 0.3))
+    return problem.with_model_error(replace(error, form_K=form_K)), change_K
+
+
+def test_the_error_of_a_form_is_a_part_of_what_its_cause_changes(flown):
+    formed, change_K = with_form_error(flown)
+    error = formed.record_fits[0].model_error
+    T = error.sample_s[-1] - error.sample_s[0]
+    knots_s = np.linspace(error.sample_s[0], error.sample_s[-1], 12)
+    at = [int(np.argmin(np.abs(error.sample_s - t))) for t in knots_s]
+    change = change_K[:, at]
+    expected = FORM_ERROR**2 * Correlation(T / 4.0, smooth=True).matrix(error.sample_s[at])
+    for sensor, root_K in enumerate(error.form_K[:, at]):
+        covariance = change[sensor, :, np.newaxis] * expected * change[sensor]
+        np.testing.assert_allclose(root_K @ root_K.T, covariance, atol=0.02 * np.max(covariance))
+        for other in error.form_K[sensor + 1 :, at]:
+            np.testing.assert_array_equal(root_K @ other.T, 0.0)
+
+
+def test_a_cause_that_changes_less_than_the_noise_has_an_exact_form():
+    time_s = np.linspace(0.0, 900.0, 91)
+    assert form_root_K([np.full((2, 91), 0.01)], time_s, np.ones(2)) is None
+    assert form_root_K([], time_s, np.ones(2)) is None
+
+
+def test_plain_marches_have_no_error_of_a_form(flown):
+    exact = with_form_error(flown)[0].without_heating_error()
+    assert exact.record_fits[0].model_error.form_K is None
+
+
+@pytest.mark.parametrize("has_form", [False, True], ids=["exact forms", "a form with an error"])
 @pytest.mark.parametrize("is_clock", [False, True], ids=["flight alone", "a parameter with it"])
-def test_evidence_of_a_wider_flight_is_that_of_the_dense_covariance(flown, is_clock):
+def test_evidence_of_a_wider_flight_is_that_of_the_dense_covariance(flown, is_clock, has_form):
+    flown = with_form_error(flown)[0] if has_form else flown
     part, at = flown.record_fits[0], np.zeros(1)
     size = error_size_at(flown, flown.samples(at), (is_clock,), (is_clock,))
     J = np.concatenate([s.sensitivity for s in flown.samples(at)])
-    S, F = part.error_responses_K
+    (S, F), count = part.error_responses_K, part.model_error.flight_K.shape[-1]
     residual, expected = read_K(flown.samples(at)) - np.concatenate([s.mean_K for s in flown.samples(at)]), []
     for c in (1.0, 4.0):
         L = size.sizes[6] * part.model_error.correlation_root
-        root = np.column_stack([S @ L, c * F, *([c * 0.1 * J] if is_clock else [])])
+        root = np.column_stack([S @ L, c * F[:, :count], F[:, count:], *([c * 0.1 * J] if is_clock else [])])
         lower = np.linalg.cholesky(root @ root.T + np.diag(part.reading_noise_K**2))
         white = solve_triangular(lower, residual, lower=True)
         expected.append(-0.5 * white @ white - np.sum(np.log(np.diag(lower))))

@@ -325,8 +325,20 @@ def base_trial(baseline: FitResult) -> TrialFit:
     shifts = list[float]()
     if clock is not None and CLOCK_SKEW.sigma < clock.sigma < math.inf:
         shifts = [float(np.clip(shift, clock.lower, clock.upper)) for shift in (-clock.sigma, clock.sigma)]
-    starts = (base, *(_base_trial(baseline, shift) for shift in shifts))
+    starts = _distinct_clocks([base, *(_base_trial(baseline, shift) for shift in shifts)])
     return _with_error_no_larger(max(map(with_own_error, starts), key=_log_posterior))
+
+
+def _distinct_clocks(bases: Sequence[TrialFit]) -> list[TrialFit]:
+    """Declared models without those whose clock ended where that of one before did."""
+    apart = 0.5  # standard deviations of the clock given the readings
+    kept = list(bases[:1])
+    for base in bases[1:]:
+        k = base.fit.names.index(CLOCK_SKEW.name)
+        sigma_s = math.sqrt(base.fit.covariance[k, k])
+        if all(not abs(base.fit.values[k] - other.fit.values[k]) < apart * sigma_s for other in kept):
+            kept.append(base)
+    return kept
 
 
 def _log_posterior(base: TrialFit) -> float:
@@ -468,53 +480,28 @@ def _with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit
     prior = heating_error_prior(trial.record_fit.record)
     if trial.record_fit.model_error is None or prior is None or (trial.size is not None and start is None):
         return trial
-    size: ErrorSize | None = None
-    for _ in range(most_fits):
-        try:
-            if size is None:
-                about, likeliest = _first_error(trial, prior, start)
-            else:
-                about, likeliest = _likeliest_error(trial, prior, size.likeliest[1].breaks_s)
-        except RunError:
-            return trial
-        error = about.record_fit.model_error
-        assert error is not None  # it was given one
-        sized = fitted_on(with_error(about, error.of_size(*likeliest)), replace(CONVERGE, iterations=40))
-        if not np.isfinite(sized.fit.log_likelihood):
-            return trial
-        size = _size_of_error(sized, prior, may_break=True)
-        sized = replace(sized, size=size)
-        if trial.size is not None and sized.log_evidence < trial.log_evidence + LEAST_GAIN:
-            return trial
-        trial = sized
-        if size.likeliest == likeliest:
-            break
+    try:
+        about = _with_response(trial, start.likeliest[1].breaks_s if start else ())
+        likeliest = (start or _size_of_error(about, prior, may_break=True)).likeliest
+        for k in range(most_fits):
+            breaks_s = likeliest[1].breaks_s
+            if k > 0 or (breaks_s and start is None):
+                about = _with_response(trial, breaks_s)
+            error = about.record_fit.model_error
+            assert error is not None  # it was given one
+            sized = fitted_on(with_error(about, error.of_size(*likeliest)), replace(CONVERGE, iterations=40))
+            if not np.isfinite(sized.fit.log_likelihood):
+                break
+            sized = replace(sized, size=_size_of_error(sized, prior, may_break=True))
+            if trial.size is not None and sized.log_evidence < trial.log_evidence + LEAST_GAIN:
+                break
+            trial, before = sized, likeliest
+            likeliest = sized.size.likeliest
+            if likeliest == before:
+                break
+    except RunError:
+        pass
     return trial
-
-
-def _first_error(
-    trial: TrialFit, prior: HeatingErrorPrior, start: ErrorSize | None
-) -> tuple[TrialFit, tuple[float, Correlation, float]]:
-    """A trial with the response about its own values, and the error that is tried first; start : of `with_own_error`.
-
-    raises : RunError where it cannot be marched
-    """
-    if start is not None:
-        return _with_response(trial, start.likeliest[1].breaks_s), start.likeliest
-    about, likeliest = _likeliest_error(trial, prior, ())
-    breaks_s = likeliest[1].breaks_s
-    return _likeliest_error(trial, prior, breaks_s) if breaks_s else (about, likeliest)
-
-
-def _likeliest_error(
-    trial: TrialFit, prior: HeatingErrorPrior, breaks_s: Sequence[float]
-) -> tuple[TrialFit, tuple[float, Correlation, float]]:
-    """A trial with the response about its own values, and its likeliest error, with finer knots about some breaks [s].
-
-    raises : RunError where it cannot be marched
-    """
-    about = _with_response(trial, breaks_s)
-    return about, _size_of_error(about, prior, may_break=True).likeliest
 
 
 def _with_response(trial: TrialFit, breaks_s: Sequence[float]) -> TrialFit:
