@@ -269,11 +269,14 @@ def test_flight_error_has_one_likelihood_estimated_or_integrated_out(flown):
 
 
 def test_the_gain_of_breaks_is_that_of_the_dense_covariance(problem):
-    """A first-order error of the heating that starts anew at two knots, one of which is known."""
+    """A first-order error of the heating that starts anew at two knots, one of which is known, and not at a third."""
     part, sigma = problem.record_fits[0], 0.04
-    error, before = part.model_error, Correlation(90.0, breaks_s=(part.model_error.time_s[40],))
+    error = part.model_error
+    before = Correlation(90.0, breaks_s=(error.time_s[20], error.time_s[40]))
     white, S = np.diag(part.reading_noise_K**2), part.error_responses_K[0]
-    residual = dense(problem, AT)[0] + S @ np.where(error.time_s >= error.time_s[60], 0.08, 0.0)
+    residual = dense(problem, AT)[0] + S @ np.select(
+        [error.time_s >= error.time_s[60], error.time_s >= error.time_s[40]], [0.08, -0.05]
+    )
 
     def evidence(correlation):
         root = sigma * S @ correlation.root(error.time_s)
@@ -284,7 +287,8 @@ def test_the_gain_of_breaks_is_that_of_the_dense_covariance(problem):
     scaled = S / noise
     read = ReadError(scaled.T @ scaled, scaled.T @ (residual / noise[:, 0]))
     gain, broken = with_breaks(read, error.time_s, before, sigma)
-    assert {error.time_s[60], *before.breaks_s} <= set(broken.breaks_s)
+    assert {error.time_s[40], error.time_s[60]} <= set(broken.breaks_s)
+    assert error.time_s[20] not in broken.breaks_s
     assert gain == pytest.approx(evidence(broken) - evidence(before), abs=1e-6)
     for other in error.time_s[10:60:10]:
         if other not in broken.breaks_s:

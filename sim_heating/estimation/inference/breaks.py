@@ -21,8 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dpotri
 
-from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.arrays import FloatArray
 from sim_heating.estimation.inference.model_error import Correlation
 
 PIECES = 5
@@ -42,25 +43,25 @@ class ReadError(NamedTuple):
 
 
 def log_prior(knots_s: FloatArray, breaks_s: Sequence[float]) -> float:
-    """Log probability of breaks in the intervals before some knots, each further one half as probable, wherever it is.
+    """Log probability of breaks at some knots, each further one half as probable, wherever it is.
 
-        -(n + 1) log 2 + log n! + sum log(h_i / T)
+        -(n + 1) log 2 + log n! + n log(h / T)
 
-    knots_s : (knot,) of the error, T from the first to the last [s];  breaks_s : n knots, h_i after the one before [s]
+    knots_s : (knot,) of the error, h apart where none are nearer, T from the first to the last [s];  breaks_s : n knots
 
-    Source: docs/theory/model_error.md, equation 5c.
+    Knots within an interval are alternatives for one break. The likeliest stands for their sum, so that a break costs
+    the same however its interval is divided. Source: docs/theory/model_error.md, equation 5c.
     """
-    log_odds = _log_odds_of_further(knots_s, np.arange(len(breaks_s)), np.isin(knots_s[1:], breaks_s))
-    return -math.log(2.0) + float(np.sum(log_odds))
+    before = np.arange(np.count_nonzero(np.isin(knots_s[1:], breaks_s)))
+    return -math.log(2.0) + float(np.sum(_log_odds_of_further(knots_s, before)))
 
 
-def _log_odds_of_further(knots_s: FloatArray, before: NDArray[np.int64] | int, chosen: BoolArray | slice) -> FloatArray:
-    """(interval,) log prior odds of a further break in some intervals between knots, over none there [-].
+def _log_odds_of_further(knots_s: FloatArray, before: NDArray[np.int64]) -> FloatArray:
+    """(break,) log prior odds of one break more somewhere in an interval between knots, over none there [-].
 
-    knots_s : (knot,) of the error [s];  before : breaks there are besides;  chosen : of the intervals
+    knots_s : (knot,) of the error [s];  before : (break,) breaks there are besides
     """
-    h = np.diff(knots_s)[chosen]
-    return np.asarray(np.log(0.5 * (before + 1) * h / (knots_s[-1] - knots_s[0])))
+    return np.asarray(np.log(0.5 * (before + 1) * np.max(np.diff(knots_s)) / (knots_s[-1] - knots_s[0])))
 
 
 def finer_knots(knots_s: FloatArray, breaks_s: Sequence[float]) -> FloatArray:
@@ -79,15 +80,17 @@ def finer_knots(knots_s: FloatArray, breaks_s: Sequence[float]) -> FloatArray:
 def with_breaks(
     read: ReadError, knots_s: FloatArray, correlation: Correlation, sigma: float
 ) -> tuple[float, Correlation]:
-    """The gain in log evidence by further breaks, their prior included, and the correlation with them [-].
+    """The gain in log evidence by other breaks, their prior included, and the correlation with them [-].
 
     knots_s : (knot,) of the error [s];  correlation : as it is, with its breaks;  sigma : of the error [-]
 
-    The likeliest break is added as long as it gains. It changes the information by E D E', with E (knot, 2) the two
-    knots beside it, and the covariance P of the knots by -P E (1 + D C)^-1 D E' P.
+    The break whose addition or removal gains most is added or removed, as long as that gains. With z = 1 for one that
+    is added and -1 for one that is removed, it changes the information by z E D E', with E (knot, 2) the two knots
+    beside it, and the covariance P of the knots by -z P E (1 + z D C)^-1 D E' P.
 
     Source: docs/theory/model_error.md, equations 5c and 5d.
     """
+    least_gain = 1e-6  # below it two breaks could be added and removed in turn [-]
     a = np.exp(-np.diff(knots_s) / correlation.time_s)
     D = (a / (sigma**2 * (1.0 - a**2)))[:, np.newaxis, np.newaxis] * np.stack(
         [np.stack([-a, np.ones_like(a)], axis=-1), np.stack([np.ones_like(a), -a], axis=-1)], axis=-2
@@ -96,21 +99,24 @@ def with_breaks(
     P = _covariance(read.information, np.where(is_broken, 0.0, a), sigma)
     mean, gained = P @ read.score, 0.0
     before, k = np.arange(len(a)), np.arange(1, len(a) + 1)
-    for count in range(len(correlation.breaks_s), MOST_BREAKS):
+    while True:
+        z, count = np.where(is_broken, -1.0, 1.0), int(np.count_nonzero(is_broken))
         C = np.stack([P[before, before], P[before, k], P[before, k], P[k, k]], axis=-1).reshape(-1, 2, 2)
         m = np.stack([mean[:-1], mean[1:]], axis=-1)[..., np.newaxis]
-        inner = np.eye(2) + D @ C
-        change = np.linalg.solve(inner, D)
+        zD = z[:, np.newaxis, np.newaxis] * D
+        inner = np.eye(2) + zD @ C
+        change = np.linalg.solve(inner, zD)
         lost = (np.swapaxes(m, 1, 2) @ change @ m)[:, 0, 0]
         with np.errstate(invalid="ignore", divide="ignore"):
-            gain = 0.5 * (np.log1p(-(a**2)) - np.log(np.linalg.det(inner)) - lost)
-        gain = np.where(is_broken | ~np.isfinite(gain), -np.inf, gain)
-        gain += _log_odds_of_further(knots_s, count, slice(None))
+            gain = 0.5 * (z * np.log1p(-(a**2)) - np.log(np.linalg.det(inner)) - lost)
+        gain += z * _log_odds_of_further(knots_s, count - is_broken.astype(int))
+        is_possible = np.isfinite(gain) & (is_broken | (count < MOST_BREAKS))
+        gain = np.where(is_possible, gain, -np.inf)
         best = int(np.argmax(gain))
-        if gain[best] <= 0.0:
+        if gain[best] <= least_gain:
             break
         gained += float(gain[best])
-        is_broken[best] = True
+        is_broken[best] = not is_broken[best]
         beside = P[:, best : best + 2]
         mean = mean - beside @ (change[best] @ m[best, :, 0])
         P = P - beside @ change[best] @ beside.T
@@ -132,4 +138,7 @@ def _covariance(information: FloatArray, a: FloatArray, sigma: float) -> FloatAr
     total[knots[:-1], knots[1:]] -= a * inverse
     total[knots[1:], knots[:-1]] -= a * inverse
     scale = 1.0 / np.sqrt(np.diag(total))
-    return np.asarray(np.linalg.inv(total * np.outer(scale, scale)) * np.outer(scale, scale))
+    lower, _ = dpotrf(total * np.outer(scale, scale), lower=True)
+    covariance, _ = dpotri(lower, lower=True)
+    covariance = np.tril(covariance) + np.tril(covariance, -1).T
+    return np.asarray(covariance * np.outer(scale, scale))

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -69,10 +69,10 @@ def error_size(
         if not may_break or correlation.smooth:
             entries[correlation] = seen.log_likelihood(correlation), of_prior
             continue
-        start = error.correlation if error.correlation.time_s == correlation.time_s else correlation
-        for entry in (correlation, start, seen.with_breaks(start, of_prior)):
-            if entry not in entries:
-                entries[entry] = seen.log_likelihood(entry), of_prior + log_prior(error.time_s, entry.breaks_s)
+        start = replace(correlation, breaks_s=error.correlation.breaks_s)
+        told = {seen.with_breaks(start, of_prior), *({start} & {correlation, error.correlation})}
+        for entry in sorted(told, key=lambda e: e.breaks_s):
+            entries[entry] = seen.log_likelihood(entry), of_prior + log_prior(error.time_s, entry.breaks_s)
     likelihoods, of_priors = zip(*entries.values(), strict=True)
     return ErrorSize(
         sizes, tuple(entries), np.array(list(scales)), np.stack(likelihoods, axis=1), np.stack(of_priors, axis=1)

@@ -381,9 +381,20 @@ class ErrorSize:
 
         Source: docs/theory/model_error.md, equation 5.
         """
+        return float(self.log_likelihood[self._place(error)])
+
+    def _place(self, error: ModelError) -> tuple[int, int, int]:
+        """Place of an error in the grid."""
         j = int(np.argmin(np.abs(np.log(self.scales / error.flight_scale))))
-        i, k = self.correlations.index(error.correlation), int(np.argmin(np.abs(self.sizes - error.sigma)))
-        return float(self.log_likelihood[j, i, k])
+        return j, self.correlations.index(error.correlation), int(np.argmin(np.abs(self.sizes - error.sigma)))
+
+    def log_odds_of_likeliest(self, error: ModelError) -> float:
+        """Log odds of the most probable size, correlation and scale over those of an error, which are of the grid [-].
+
+        Source: docs/theory/model_error.md, equation 5.
+        """
+        log_posterior = self.log_likelihood + self.log_weight
+        return float(np.max(log_posterior) - log_posterior[self._place(error)])
 
     @property
     def posterior(self) -> FloatArray:

@@ -39,7 +39,7 @@ from sim_heating.estimation.inference.error_likelihood import (
 )
 from sim_heating.estimation.inference.error_size import error_size
 from sim_heating.estimation.inference.likelihood import likelihood, log_likelihood
-from sim_heating.estimation.inference.model_error import Correlation, ErrorSize, HeatingErrorPrior, ModelError
+from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
 from sim_heating.estimation.problem import FitOptions, FitProblem
@@ -492,12 +492,13 @@ def _with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit
             sized = fitted_on(with_error(about, error.of_size(*likeliest)), replace(CONVERGE, iterations=40))
             if not np.isfinite(sized.fit.log_likelihood):
                 break
-            sized = replace(sized, size=_size_of_error(sized, prior, may_break=True))
+            size = _size_of_error(sized, prior, may_break=True)
+            sized = replace(sized, size=size)
             if trial.size is not None and sized.log_evidence < trial.log_evidence + LEAST_GAIN:
                 break
-            trial, before = sized, likeliest
-            likeliest = sized.size.likeliest
-            if likeliest == before:
+            trial, likeliest = sized, size.likeliest
+            fitted = sized.record_fit.model_error
+            if fitted is None or size.log_odds_of_likeliest(fitted) < LEAST_GAIN:
                 break
     except RunError:
         pass
@@ -505,8 +506,9 @@ def _with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit
 
 
 def _with_response(trial: TrialFit, breaks_s: Sequence[float]) -> TrialFit:
-    """A trial whose error has the response of the readings about its values, with finer knots about some breaks [s].
+    """A trial whose error has the response of the readings about its values, with finer knots about breaks.
 
+    breaks_s : beside those of its error [s]
     raises : RunError where it cannot be marched
     """
     record_fit = trial.record_fit
@@ -514,8 +516,9 @@ def _with_response(trial: TrialFit, breaks_s: Sequence[float]) -> TrialFit:
     assert now is not None  # the caller's trial has one
     either = [record.fit_mask() | record.holdout_mask()]
     all_samples = candidate_problem(trial, record_fit, NO_EFFECT, sample_masks=either).record_fits[0]
-    knots_s = finer_knots(even_knots_s(all_samples), breaks_s)
-    alike = replace(now.correlation, breaks_s=())  # breaks are sought again, at these knots
+    now_s = now.correlation.breaks_s
+    knots_s = finer_knots(even_knots_s(all_samples), sorted({*now_s, *breaks_s}))
+    alike = replace(now.correlation, breaks_s=tuple(np.intersect1d(now_s, knots_s).tolist()))
     error = model_error(all_samples, trial.fit.values, now.sigma, alike, now.flight, now.heating_noise, knots_s)
     return with_error(trial, error if now.form_K is None else replace(error, form_K=_form_K(trial)))
 
