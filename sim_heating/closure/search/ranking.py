@@ -109,9 +109,9 @@ def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
 def volume_penalty(trial: TrialFit, candidate: Candidate) -> float:
     """What the parameters of an effect of a model with an error cost by Laplace's approximation, over their k log n.
 
-        -log det(W^-1 V W^-1) - k log n
+        -sum log min(w, 1) - k log n
 
-    V the covariance of those that are not on a bound, W their prior standard deviations: of a place that was searched
+    w the eigenvalues of W^-1 V W^-1, above 1 of what the readings do not tell. V the covariance of those that are not on a bound, W their prior standard deviations: of a place that was searched
     for, such as an onset, D / sqrt(2 pi), D from the least to the largest place that the search starts from. k does not
     count the clock, which every model has. An error of the heating pays for its breaks in the same way; an exact model
     has BIC alone. Source: docs/theory/model_error.md, equation 5e.
@@ -126,9 +126,10 @@ def volume_penalty(trial: TrialFit, candidate: Candidate) -> float:
     ]  # fmt: skip
     names = [trial.fit.names[k] for k in free]
     W = np.array([widths[n] for n in names])
-    _, log_det = np.linalg.slogdet(trial.fit.covariance[np.ix_(free, free)] / np.outer(W, W))
+    left = np.linalg.eigvalsh(trial.fit.covariance[np.ix_(free, free)] / np.outer(W, W))
     counted = sum(n != CLOCK_SKEW.name for n in names)
-    return max(-float(log_det), 0.0) - counted * float(np.log(sample_count(trial.problem)))
+    told = -float(np.sum(np.log(np.clip(left, np.finfo(float).tiny, 1.0))))
+    return told - counted * float(np.log(sample_count(trial.problem)))
 
 
 def scatter_price(deviation: float) -> float:
