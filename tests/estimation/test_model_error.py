@@ -275,7 +275,7 @@ def test_the_gain_of_breaks_is_that_of_the_dense_covariance(problem):
     before = Correlation(90.0, breaks_s=(error.time_s[20], error.time_s[40]))
     white, S = np.diag(part.reading_noise_K**2), part.error_responses_K[0]
     residual = dense(problem, AT)[0] + S @ np.select(
-        [error.time_s >= error.time_s[60], error.time_s >= error.time_s[40]], [0.08, -0.05]
+        [error.time_s >= error.time_s[60], error.time_s >= error.time_s[40]], [0.08, -0.12]
     )
 
     def evidence(correlation):

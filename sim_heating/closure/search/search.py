@@ -343,7 +343,9 @@ class _Search:
                 if h.admissible and h.change is None and len(h.names) == len(best.names)
                 and h.score <= best.score + POLICY.set_margin
             ]  # fmt: skip
-            more = self.with_one_more([list(h.trials) for h in near[: EFFORT.starts]], stage)
+            # an error of their forms would take up a part of what a further cause explains
+            stacks = [[*h.trials[:-1], h.last.exact_forms or h.last] for h in near[: EFFORT.starts]]
+            more = self.with_one_more(stacks, stage)
             models = scored(none, [*models, *_with_own_errors(more)])
             if len(models[0].names) <= len(best.names):
                 break

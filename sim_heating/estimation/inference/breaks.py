@@ -5,10 +5,11 @@ precision 1 / (s^2 (1 - a^2)) [[a^2, -a], [-a, 1]] with a = exp(-h / tau). Where
 later knot alone. One break changes the information of all unknowns at these two knots only, so that its gain in log
 evidence follows from their covariance:
 
-    gain = log(1 - a^2) / 2 - log det(1 + D C) / 2 - m' (1 + D C)^-1 D m / 2,
+    gain = z log(1 - a^2) / 2 - log det(1 + z D C) / 2 - z m' (1 + z D C)^-1 D m / 2,
     D = a / (s^2 (1 - a^2)) [[-a, 1], [1, -a]],
 
-with C (2, 2) the covariance of the two values and m (2,) their means before. Derived in docs/theory/model_error.md,
+with C (2, 2) the covariance of the two values and m (2,) their means before, z = 1 for a break that is added and -1 for
+one that is removed. Derived in docs/theory/model_error.md,
 equation 5d.
 """
 

@@ -84,6 +84,7 @@ class TrialFit:
     score     : the BIC difference with c of the best model, held-out segments, forms and priors included
     size      : what the readings say of the size of its model's error, responses taken about its own values; None as
                 long as the error is that of the base
+    exact_forms : the same with exact forms of its causes, where these have an error; None where they are exact
     objections : why it may not be named, empty where it may; known of candidates fitted to convergence
     change    : of the record, where the problem is over a changed one
     value, sigma : of the parameter of the change with its standard deviation, in its unit; 0 where it has none
@@ -98,6 +99,7 @@ class TrialFit:
     delta_bic: float = 0.0
     score: float = 0.0
     size: ErrorSize | None = None
+    exact_forms: TrialFit | None = None
     objections: tuple[str, ...] = ()
     change: RecordChange | None = None
     value: float = 0.0
@@ -444,25 +446,29 @@ LEAST_GAIN = 0.5
 def with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
     """A trial with the error of its model as large as the readings say, the forms of its causes exact or not.
 
-    start : as `_with_own_error` has it
+    trial : with exact forms
+    start : what the readings say of the error of another model, as `_with_own_error` has it
 
-    Either is as probable before, and the better one is taken. Source: docs/theory/model_error.md, equation 1b.
+    Either is as probable before, and the one with more evidence is taken. Source: docs/theory/model_error.md, equation
+    1b.
     """
     own, prior = _with_own_error(trial, start), heating_error_prior(trial.record_fit.record)
     error = own.record_fit.model_error
-    if own.size is None or own is trial or error is None or prior is None:
+    if own is trial or own.size is None or error is None or prior is None:
         return own
     try:
-        other = with_error(own, replace(error, form_K=None if error.form_K is not None else _form_K(own)))
-        if other.record_fit.model_error.form_K is error.form_K:
+        form_K = _form_K(own)
+        if form_K is None:
             return own
-        size = _size_of_error(other, prior, may_break=True)
+        formed = with_error(own, replace(error, form_K=form_K))
+        size = _size_of_error(formed, prior, may_break=True)
     except RunError:
         return own
     if size.evidence < own.size.evidence + LEAST_GAIN:
         return own
-    other = _with_own_error(replace(other, size=None), size)
-    return other if other.size is not None and other.log_evidence > own.log_evidence + LEAST_GAIN else own
+    formed = _with_own_error(replace(formed, size=None), size)
+    is_better = formed.size is not None and formed.log_evidence > own.log_evidence + LEAST_GAIN
+    return replace(formed, exact_forms=own) if is_better else own
 
 
 def _with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
