@@ -70,7 +70,8 @@ def error_size(
             entries[correlation] = seen.log_likelihood(correlation), of_prior
             continue
         start = replace(correlation, breaks_s=error.correlation.breaks_s)
-        told = {seen.with_breaks(start, of_prior), *({start} & {correlation, error.correlation})}
+        told = {seen.with_breaks(c, of_prior) for c in {correlation, start}}
+        told |= {start} & {correlation, error.correlation}
         for entry in sorted(told, key=lambda e: e.breaks_s):
             entries[entry] = seen.log_likelihood(entry), of_prior + log_prior(error.time_s, entry.breaks_s)
     likelihoods, of_priors = zip(*entries.values(), strict=True)
