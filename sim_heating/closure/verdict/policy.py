@@ -70,7 +70,7 @@ class Policy:
     settled_gain: float = rule(
         0.5,
         "log likelihood",
-        "A fit that a further step would not improve by more has converged.",
+        "A fit, or an error of a model, that a further step would not improve by more has converged.",
         "half a unit is one standard deviation of one parameter",
     )
     held_out_gain: float = rule(

@@ -24,6 +24,7 @@ from sim_heating.closure.prior.model_error import clock_prior, flight_error, fli
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import FitResult, declared_model, estimate, predict_fit, rms_normalised_residual
 from sim_heating.estimation.inference.bounds import ChannelResiduals, spectral_density
 from sim_heating.estimation.inference.breaks import finer_knots
@@ -439,10 +440,6 @@ def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, floa
         return None
 
 
-LEAST_GAIN = 0.5
-"""Gain in log evidence by another error of a model that it is fitted again for [-]."""
-
-
 def with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
     """A trial with the error of its model as large as the readings say, the forms of its causes exact or not.
 
@@ -464,10 +461,10 @@ def with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit:
         size = _size_of_error(formed, prior, may_break=True)
     except RunError:
         return own
-    if size.evidence < own.size.evidence + LEAST_GAIN:
+    if size.evidence < own.size.evidence + POLICY.settled_gain:
         return own
     formed = _with_own_error(replace(formed, size=None), size)
-    is_better = formed.size is not None and formed.log_evidence > own.log_evidence + LEAST_GAIN
+    is_better = formed.size is not None and formed.log_evidence > own.log_evidence + POLICY.settled_gain
     return replace(formed, exact_forms=own) if is_better else own
 
 
@@ -500,11 +497,11 @@ def _with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit
                 break
             size = _size_of_error(sized, prior, may_break=True)
             sized = replace(sized, size=size)
-            if trial.size is not None and sized.log_evidence < trial.log_evidence + LEAST_GAIN:
+            if trial.size is not None and sized.log_evidence < trial.log_evidence + POLICY.settled_gain:
                 break
             trial, likeliest = sized, size.likeliest
             fitted = sized.record_fit.model_error
-            if fitted is None or size.log_odds_of_likeliest(fitted) < LEAST_GAIN:
+            if fitted is None or size.log_odds_of_likeliest(fitted) < POLICY.settled_gain:
                 break
     except RunError:
         pass
