@@ -266,7 +266,8 @@ FORMATS: tuple[FileFormat, ...] = (
             "model_error": "error of that model: `relative_heating` with its 95 % limit, `correlation_s`, `rms_K`, "
             "`largest_phase`, `flight`, whose parts are null where the record does not tell them apart, and "
             "`flight_scale`, the probabilities of factors on the standard deviations of the flight, as stated or by "
-            "its confidence, null where it has none; null where the model is exact",
+            "its confidence, null where it has none, `form_relative`, the standard deviation of the errors that the "
+            "forms of its causes have, 0 where they are exact; null where the model is exact",
             "barred": "models that fit better and may not be named: `names`, `reason`, `delta_evidence`",
             "candidates": "of the first round: `name`, `delta_bic`, `fit_rmse_K`, `holdout_rmse_K`",
             "residual_heating": "name of the CSV with the residual as a heating ratio: `time_s, delta_ratio, sigma`",

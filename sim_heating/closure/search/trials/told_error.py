@@ -13,6 +13,7 @@ from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.closure.prior.model_error import START, SmoothFlightError
 from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.closure.verdict.policy import POLICY
+from sim_heating.estimation.inference.error_likelihood import FORM_ERROR
 from sim_heating.estimation.inference.model_error import ModelError
 
 TIME_SHIFT = "time_shift_s"
@@ -35,6 +36,7 @@ class ToldError:
                     does not tell it apart
     flight_scale  : factor on the standard deviations of the flight, stated or by its confidence -> its probability [-];
                     empty where the flight is exact
+    form_relative : standard deviation of the errors that the forms of its causes have [-]; 0 where these are exact
     """
 
     relative: float
@@ -44,6 +46,7 @@ class ToldError:
     largest_phase: str
     flight: Mapping[str, tuple[float, float] | None]
     flight_scale: Mapping[float, float] = field(default_factory=dict)
+    form_relative: float = 0.0
 
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
@@ -54,6 +57,7 @@ class ToldError:
             "largest_phase": self.largest_phase,
             "flight": flight_as_json(self.flight),
             "flight_scale": {f"{scale:g}": p for scale, p in self.flight_scale.items()} or None,
+            "form_relative": self.form_relative,
         }
 
     def in_words(self) -> str:
@@ -64,6 +68,11 @@ class ToldError:
             f"within some {self.correlation_s:.0f} s: {self.rms_K:.1f} K of the readings, most from "
             f"{self.largest_phase}."
         )
+        if self.form_relative > 0.0:
+            text = (
+                f"{text} What its causes change is off by some {100.0 * self.form_relative:.0f} % (one standard "
+                "deviation): the readings contradict their forms in the library."
+            )
         flight_text = flight_in_words(self.flight)
         if flight_text:
             text = f"{text} Against its conditions the flight was: {flight_text}."
@@ -110,7 +119,7 @@ def told_error(trial: TrialFit) -> ToldError | None:
     return ToldError(
         size.mean, size.limit(), size.likeliest[1].time_s, float(np.sqrt(np.mean(moved_K**2))),
         f"{at_s[largest[0]]:.0f} to {at_s[largest[-1]]:.0f} s", _flight(trial, error, u),
-        size.posterior_of_scale if len(size.scales) > 1 else {},
+        size.posterior_of_scale if len(size.scales) > 1 else {}, 0.0 if error.form_K is None else FORM_ERROR,
     )  # fmt: skip
 
 
