@@ -9,8 +9,7 @@ evidence follows from their covariance:
     D = a / (s^2 (1 - a^2)) [[-a, 1], [1, -a]],
 
 with C (2, 2) the covariance of the two values and m (2,) their means before, z = 1 for a break that is added and -1 for
-one that is removed. Derived in docs/theory/model_error.md,
-equation 5d.
+one that is removed. Derived in docs/theory/model_error.md, equation 5d.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotri
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.estimation.inference.model_error import Correlation
@@ -139,7 +138,6 @@ def _covariance(information: FloatArray, a: FloatArray, sigma: float) -> FloatAr
     total[knots[:-1], knots[1:]] -= a * inverse
     total[knots[1:], knots[:-1]] -= a * inverse
     scale = 1.0 / np.sqrt(np.diag(total))
-    lower, _ = dpotrf(total * np.outer(scale, scale), lower=True)
-    covariance, _ = dpotri(lower, lower=True)
+    covariance, _ = dpotri(np.linalg.cholesky(total * np.outer(scale, scale)), lower=True)
     covariance = np.tril(covariance) + np.tril(covariance, -1).T
     return np.asarray(covariance * np.outer(scale, scale))
