@@ -340,8 +340,11 @@ def test_a_gain_beside_an_error_costs_the_part_of_its_prior_that_readings_rule_o
     exact = base_trial(declared_fit(load_record(RECORDS / "practice" / "p06")))
     assert volume_penalty(exact, candidate) == 0.0
     # what the readings do not tell at all costs nothing, and is no gain
-    untold = replace(trial, fit=replace(trial.fit, covariance=1e6 * trial.fit.covariance))
-    assert volume_penalty(untold, candidate) == pytest.approx(-np.log(sample_count(trial.problem)))
+    for factor in (1e6, np.inf):
+        covariance = trial.fit.covariance.copy()
+        covariance[k, k] *= factor
+        untold = replace(trial, fit=replace(trial.fit, covariance=covariance))
+        assert volume_penalty(untold, candidate) == pytest.approx(-np.log(sample_count(trial.problem)))
 
 
 def cause_that_predicts_worse(none, lost):

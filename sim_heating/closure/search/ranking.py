@@ -127,7 +127,9 @@ def volume_penalty(trial: TrialFit, candidate: Candidate) -> float:
     ]  # fmt: skip
     names = [trial.fit.names[k] for k in free]
     W = np.array([widths[n] for n in names])
-    left = np.linalg.eigvalsh(trial.fit.covariance[np.ix_(free, free)] / np.outer(W, W))
+    left = trial.fit.covariance[np.ix_(free, free)] / np.outer(W, W)
+    is_told = np.isfinite(np.diag(left))
+    left = np.linalg.eigvalsh(left[np.ix_(is_told, is_told)])
     counted = sum(n != CLOCK_SKEW.name for n in names)
     told = -float(np.sum(np.log(np.clip(left, np.finfo(float).tiny, 1.0))))
     return told - counted * float(np.log(sample_count(trial.problem)))
