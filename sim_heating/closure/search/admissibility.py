@@ -13,7 +13,7 @@ import numpy as np
 from sim_heating.base.parameters import EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX, Parameter, layer_parameter
 from sim_heating.closure.search.heating_change import heating_change
 from sim_heating.closure.search.trials.candidates import Candidate
-from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count, values_without
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.newton import Status
 from sim_heating.heating.effects import effects
@@ -110,7 +110,7 @@ def _has_any_size(trial: TrialFit, name: str) -> bool:
 def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
     """Objection to a magnitude that the record does not tell from none."""
     names = [u.parameter.name for u in trial.problem.unknowns]
-    none = _none(trial, candidate)
+    none = values_without(trial, candidate.name, candidate.names)
     if not none:
         return []
     index = [names.index(n) for n in none]
@@ -125,17 +125,6 @@ def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
     if candidate is trial.candidate:
         distance = max(distance, _gain_sigmas(trial))
     return [] if distance >= POLICY.min_sigmas else [f"its magnitude is {distance:.1f} standard deviations from none"]
-
-
-def _none(trial: TrialFit, candidate: Candidate) -> dict[str, float]:
-    """Values of an effect with which it does nothing, by dotted name; a declared one differs from its declaration."""
-    nominal = {n: p.value for n, p in trial.definitions(candidate.names).items()}
-    declared = {used.effect.name for used in trial.record_fit.record.declared.heating.effects}
-    effect = None if candidate.name in declared else effects().get(candidate.name)
-    if effect is None or not effect.neutral:
-        return nominal
-    neutral = {f"{EFFECT_PREFIX}{candidate.name}.{n}": v for n, v in effect.neutral.items()}
-    return {n: neutral[n] for n in nominal if n in neutral}
 
 
 def _gain_sigmas(trial: TrialFit) -> float:

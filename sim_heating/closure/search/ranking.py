@@ -113,9 +113,10 @@ def volume_penalty(trial: TrialFit, candidate: Candidate) -> float:
 
     w the eigenvalues of W^-1 V W^-1, above 1 where the readings tell nothing, V the covariance of those that are not on
     a bound, W their prior standard deviations: of a place that was searched for, such as an onset, D / sqrt(2 pi), D
-    from the least to the largest place that the search starts from. k does not
-    count the clock, which every model has. An error of the heating pays for its breaks in the same way; an exact model
-    has BIC alone. Source: docs/theory/model_error.md, equation 5e.
+    from the least to the largest place that the search starts from. k does not count the clock, which every model has.
+    An error of the heating pays for its breaks in the same way; an exact model has BIC alone.
+
+    Source: docs/theory/model_error.md, equation 5e.
     """
     if not trial.has_error:
         return 0.0

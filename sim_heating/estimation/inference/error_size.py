@@ -71,7 +71,7 @@ def error_size(
             continue
         start = replace(correlation, breaks_s=error.correlation.breaks_s)
         told = {seen.with_breaks(c, of_prior) for c in {correlation, start}}
-        told |= {start} & {correlation, error.correlation}
+        told |= {start} & {correlation, error.correlation}  # without breaks, or with those that the error has now
         for entry in sorted(told, key=lambda e: e.breaks_s):
             entries[entry] = seen.log_likelihood(entry), of_prior + log_prior(error.time_s, entry.breaks_s)
     likelihoods, of_priors = zip(*entries.values(), strict=True)

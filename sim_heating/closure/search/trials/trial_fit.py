@@ -492,7 +492,8 @@ def _with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit
                 about = _with_response(trial, breaks_s)
             error = about.record_fit.model_error
             assert error is not None  # it was given one
-            sized = fitted_on(with_error(about, error.of_size(*likeliest)), replace(CONVERGE, iterations=40))
+            error = error.of_size(*likeliest)
+            sized = fitted_on(with_error(about, error), replace(CONVERGE, iterations=40))
             if not np.isfinite(sized.fit.log_likelihood):
                 break
             size = _size_of_error(sized, prior, may_break=True)
@@ -500,8 +501,7 @@ def _with_own_error(trial: TrialFit, start: ErrorSize | None = None) -> TrialFit
             if trial.size is not None and sized.log_evidence < trial.log_evidence + POLICY.settled_gain:
                 break
             trial, likeliest = sized, size.likeliest
-            fitted = sized.record_fit.model_error
-            if fitted is None or size.log_odds_of_likeliest(fitted) < POLICY.settled_gain:
+            if size.log_odds_of_likeliest(error) < POLICY.settled_gain:
                 break
     except RunError:
         pass
@@ -514,16 +514,21 @@ def _with_response(trial: TrialFit, breaks_s: Sequence[float]) -> TrialFit:
     breaks_s : beside those of its error [s]
     raises : RunError where it cannot be marched
     """
-    record_fit = trial.record_fit
-    record, now = record_fit.record, record_fit.model_error
+    now = trial.record_fit.model_error
     assert now is not None  # the caller's trial has one
-    either = [record.fit_mask() | record.holdout_mask()]
-    all_samples = candidate_problem(trial, record_fit, NO_EFFECT, sample_masks=either).record_fits[0]
+    all_samples = _over_all_samples(trial).record_fits[0]
     now_s = now.correlation.breaks_s
     knots_s = finer_knots(even_knots_s(all_samples), sorted({*now_s, *breaks_s}))
     alike = replace(now.correlation, breaks_s=tuple(np.intersect1d(now_s, knots_s).tolist()))
     error = model_error(all_samples, trial.fit.values, now.sigma, alike, now.flight, now.heating_noise, knots_s)
     return with_error(trial, error if now.form_K is None else replace(error, form_K=_form_K(trial)))
+
+
+def _over_all_samples(trial: TrialFit) -> FitProblem:
+    """The problem of a trial over the samples that are fitted and those that are held out."""
+    record = trial.record_fit.record
+    either = [record.fit_mask() | record.holdout_mask()]
+    return candidate_problem(trial, trial.record_fit, NO_EFFECT, sample_masks=either)
 
 
 def _form_K(trial: TrialFit) -> FloatArray | None:
@@ -532,41 +537,43 @@ def _form_K(trial: TrialFit) -> FloatArray | None:
 
     raises : RunError where it cannot be marched without one of them
     """
-    record_fit, record = trial.record_fit, trial.record_fit.record
-    either = [record.fit_mask() | record.holdout_mask()]
-    problem = candidate_problem(trial, record_fit, NO_EFFECT, sample_masks=either)
-    all_samples, by_name = problem.record_fits[0], fitted_values(trial)
-    all_samples.correction_K = 0.0
-    sensors, samples = len(record.sensors), len(all_samples.sample_s)
+    problem, by_name = _over_all_samples(trial), fitted_values(trial)
+    all_samples = problem.record_fits[0]
+    all_samples.correction_K = 0.0  # it cancels
+    channels, sensors = all_samples.channels, len(all_samples.record.sensors)
+    ends = np.cumsum([len(c.samples) for c in channels])[:-1]
     noise_K = np.ones(sensors)
+    for channel, of_readings_K in zip(channels, np.split(all_samples.reading_noise_K, ends), strict=True):
+        noise_K[channel.number] = np.max(of_readings_K)
 
     def read_K(values: Mapping[str, float]) -> FloatArray:
-        indicated = np.zeros((sensors, samples))
+        indicated = np.zeros((sensors, len(all_samples.sample_s)))
         for s in problem.samples(start_values(problem, values)):
             indicated[s.channel.number, s.channel.samples] = s.mean_K
-            noise_K[s.channel.number] = math.hypot(np.max(s.spread_K), s.channel.sensor.lsb_K / math.sqrt(12.0))
         return indicated
 
     with_all = read_K(by_name)
-    changes_K = [with_all - read_K(by_name | none) for none in _without_each_cause(trial)]
+    causes: dict[str, list[str]] = {}
+    for name in (*all_samples.march_names, *all_samples.sensor_names):
+        if name not in OF_TABLE and name != CLOCK_SKEW.name:
+            causes.setdefault(name.split(".")[1] if name.startswith(EFFECT_PREFIX) else name, []).append(name)
+    changes_K = [with_all - read_K(by_name | values_without(trial, *cause)) for cause in causes.items()]
     return form_root_K(changes_K, all_samples.sample_s, noise_K)
 
 
-def _without_each_cause(trial: TrialFit) -> list[dict[str, float]]:
-    """By cause of a trial's model, its parameters with the values at which it does nothing."""
-    fit = trial.record_fit
-    declared = {used.effect.name for used in fit.record.declared.heating.effects}
-    causes: dict[str, dict[str, float]] = {}
-    for name in (*fit.march_names, *fit.sensor_names):
-        if name in OF_TABLE or name == CLOCK_SKEW.name:
-            continue
-        of_effect = name.split(".")[1] if name.startswith(EFFECT_PREFIX) else ""
-        effect = None if of_effect in declared else effects().get(of_effect)
-        value = trial.definitions([name])[name].value
-        if effect is not None:
-            value = effect.neutral.get(name.rpartition(".")[2], value)
-        causes.setdefault(of_effect or name, {})[name] = value
-    return list(causes.values())
+def values_without(trial: TrialFit, cause: str, names: Sequence[str]) -> dict[str, float]:
+    """Values of a cause of a trial's model with which it does nothing, by dotted name; a declared one differs from its
+    declaration.
+
+    cause : name of an effect, or of what is none;  names : of its estimated parameters
+    """
+    nominal = {n: p.value for n, p in trial.definitions(names).items()}
+    declared = {used.effect.name for used in trial.record_fit.record.declared.heating.effects}
+    effect = None if cause in declared else effects().get(cause)
+    if effect is None or not effect.neutral:
+        return nominal
+    neutral = {f"{EFFECT_PREFIX}{cause}.{n}": v for n, v in effect.neutral.items()}
+    return {n: neutral[n] for n in nominal if n in neutral}
 
 
 def fitted_on(trial: TrialFit, settings: NewtonSettings) -> TrialFit:
