@@ -70,8 +70,8 @@ class ToldError:
         )
         if self.form_relative > 0.0:
             text = (
-                f"{text} What its causes change is off by some {100.0 * self.form_relative:.0f} % (one standard "
-                "deviation): the readings contradict their forms in the library."
+                f"{text} The readings contradict the exact forms of its causes: what these change may be off by "
+                f"{100.0 * self.form_relative:.0f} % (one standard deviation, a choice)."
             )
         flight_text = flight_in_words(self.flight)
         if flight_text:
