@@ -388,7 +388,7 @@ class RecordFit:
         return self.values(vector).get(PRESSURE_FACTOR.name, self.record.pressure_factor[0])
 
 
-LEAST_SEEN = 1e-4
+LEAST_SEEN = 1e-3
 """Least standard deviation that a direction of the error gives the readings, over their noise, to count [-]."""
 
 
