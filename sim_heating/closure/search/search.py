@@ -125,11 +125,10 @@ def search_effects(
     if search.lacks_more(rated):
         hypotheses += search.fitted_on(hypotheses)
         rated = scored(search.none, hypotheses)
-    lacks_more = search.lacks_more(rated)
-    if lacks_more:
+    if search.lacks_more(rated) and not base.has_error:
         rated = search.further_causes(hypotheses, progress)
     none, rated = _judged(hypothesis([own], {}), rated)
-    if base.has_error and not lacks_more:
+    if base.has_error:
         rated = search.beside_an_error(none, rated, progress)
     if none.last.record_fit.model_error is not None:
         rated = _worth_their_causes(none, rated)
@@ -192,19 +191,27 @@ def _worth_their_causes(none: Hypothesis, rated: Sequence[Hypothesis]) -> list[H
     """
     best = _best_by_count(rated)
     is_one_named = 1 in best and best[1].score <= -least_gain(none)
-    simplest = next((h for _, h in sorted(best.items()) if h.adequate), None)
 
     def judged(h: Hypothesis) -> Hypothesis:
         if len(h.names) == 1:
             return h
         against = [] if is_one_named else ["none of its causes alone is better than the declared model"]
-        for fewer in (f for n, f in best.items() if n < len(h.names)):
-            least = POLICY.min_gain_over_adequate if fewer is simplest else POLICY.min_gain_of_further
-            if not h.score <= fewer.score - least:
-                against.append(_gains_too_little(h, fewer))
+        against += [
+            _gains_too_little(h, fewer) for fewer, score in _to_reach(best, len(h.names)) if not h.score <= score
+        ]
         return replace(h, objections=(*h.objections, *against))
 
     return sorted(map(judged, rated), key=lambda h: (not h.admissible, h.score))
+
+
+def _to_reach(best: Mapping[int, Hypothesis], count: int) -> list[tuple[Hypothesis, float]]:
+    """Hypotheses with fewer causes than a number, and the score that one with so many has to reach over each.
+
+    best : as `_best_by_count` has it
+    """
+    simplest = next((h for _, h in sorted(best.items()) if h.adequate), None)
+    leasts = {h: POLICY.min_gain_over_adequate if h is simplest else POLICY.min_gain_of_further for h in best.values()}
+    return [(h, h.score - leasts[h]) for n, h in best.items() if n < count]
 
 
 def _gains_too_little(h: Hypothesis, fewer: Hypothesis) -> str:
@@ -326,37 +333,57 @@ class _Search:
         return rated
 
     def beside_an_error(self, none: Hypothesis, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
-        """Hypotheses of a model with an error with those of one cause more, and again of one more, best first.
+        """Hypotheses of a model with an error with those of one cause more at a time, and without one, best first.
 
         none, rated : the declared model and those of one cause, each with its own error
 
         The error takes up what further causes leave, so that the first one explains the record: whether there are more
         is told by the odds alone.
         """
-        models = list(rated)
-        for stage in (_stage(progress, 0.6, 0.75, "two effects"), _stage(progress, 0.75, 0.9, "three effects")):
+        most_rounds, begin, end = 4, 0.6, 0.9
+        models, share = list(rated), (end - begin) / most_rounds
+        for k in range(most_rounds):
             best = next((h for h in models if h.admissible), None)
             if best is None or best.change is not None or best.score > -least_gain(none):
                 break
-            near = [
-                h for h in models
-                if h.admissible and h.change is None and len(h.names) == len(best.names)
-                and h.score <= best.score + POLICY.set_margin
-            ]  # fmt: skip
-            # an error of their forms would take up a part of what a further cause explains
-            stacks = [[*h.trials[:-1], h.last.exact_forms or h.last] for h in near[: EFFORT.starts]]
-            more = self.with_one_more(stacks, stage)
-            models = scored(none, [*models, *_with_own_errors(more)])
-            if len(models[0].names) <= len(best.names):
+            stage = _stage(progress, begin + share * k, begin + share * (k + 1), "further causes, and others")
+            if len(best.names) < POLICY.max_causes:
+                alike = sorted((h for h in models if len(h.names) == len(best.names)), key=lambda h: h.score)
+                to_reach = min(score for _, score in _to_reach(_best_by_count(models), len(best.names) + 1))
+                models = scored(none, [*models, *self._further(none, alike, to_reach, stage)])
+            without_one = self.pruned(sorted(models, key=lambda h: h.score), {frozenset(h.names) for h in models})
+            without_one = scored(none, _with_own_errors(without_one))
+            others = self._further(none, without_one, models[0].score, stage)
+            models = scored(none, [*models, *without_one, *others])
+            if {*models[0].names} == {*best.names}:
                 break
         return models
 
-    def with_one_more(self, stacks: Sequence[Sequence[TrialFit]], progress: Progress) -> list[Hypothesis]:
+    def _further(
+        self, none: Hypothesis, starts: Sequence[Hypothesis], score: float, progress: Progress
+    ) -> list[Hypothesis]:
+        """Hypotheses with one effect more on top of each of several, each with its own error.
+
+        starts : with their own errors, best first. What may not be named for what it leaves may be named with a further
+                 cause, and an error of its form would take up a part of what that explains
+        score  : to be reached
+        """
+        starts = _distinct([h for h in starts if h.change is None][: EFFORT.causes])
+        if not starts:
+            return []
+        stacks = [[*h.trials[:-1], h.last.exact_forms or h.last] for h in starts]
+        least = 0.5 * (min(h.score for h in starts) - score) - POLICY.gain_margin
+        return _with_own_errors(scored(none, self.with_one_more(stacks, progress, least))[: EFFORT.causes])
+
+    def with_one_more(
+        self, stacks: Sequence[Sequence[TrialFit]], progress: Progress, least: float = 0.0
+    ) -> list[Hypothesis]:
         """Hypotheses with one effect more on top of each of several stacks of effects, a round of each side by side.
 
         stacks : effects, each fitted on top of those before
+        least  : gain in log likelihood over the best stack that an effect has to promise
         """
-        hypotheses, rounds = [], _rounds_on_top(stacks, progress)
+        hypotheses, rounds = [], _rounds_on_top(stacks, progress, least)
         progress(0.7, "fitting the leading ones to convergence")
         leading = sorted(
             ((t.fit.log_likelihood, i, t) for i, r in enumerate(rounds) for t in r.trials), key=lambda x: -x[0]
@@ -429,12 +456,16 @@ class _Search:
             stack.append(replace(trial_fit.with_held_out(below, fitted), delta_bic=delta))
         return stack[1:]
 
-    def pruned(self, rated: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """The best hypothesis without each of its effects in turn, where it has several."""
+    def pruned(self, rated: Sequence[Hypothesis], tried: Collection[frozenset[str]] = frozenset()) -> list[Hypothesis]:
+        """The best hypothesis without each of its effects in turn, where it has several.
+
+        tried : names of hypotheses that are not fitted again
+        """
         if not rated or len(rated[0].trials) < 2 or rated[0].change is not None:
             return []
         trials, values = rated[0].trials, trial_fit.fitted_values(rated[0].last)
-        stacks = [self.fitted_stack([t for t in trials if t is not left_out], values) for left_out in trials]
+        fewer = [[t for t in trials if t is not left_out] for left_out in trials]
+        stacks = [self.fitted_stack(kept, values) for kept in fewer if frozenset(t.name for t in kept) not in tried]
         return [self.stack(stack) for stack in stacks if np.isfinite(stack[-1].fit.log_likelihood)]
 
     def exchanged(self, hypotheses: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
@@ -489,13 +520,16 @@ def _nameable_first(trials: Sequence[TrialFit]) -> list[TrialFit]:
     return sorted(trials, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
 
 
-def _rounds_on_top(stacks: Sequence[Sequence[TrialFit]], progress: Progress) -> list[SearchRound]:
-    """By stack of effects, the pass over all candidates on top of it; of all passes together the best are fitted."""
+def _rounds_on_top(stacks: Sequence[Sequence[TrialFit]], progress: Progress, least: float) -> list[SearchRound]:
+    """By stack of effects, the pass over all candidates on top of it; of all passes together the best are fitted.
+
+    least : gain in log likelihood over the best stack that a candidate has to promise
+    """
     progress(0.0, "screening candidates")
     bases = [stack[-1] for stack in stacks]
     screened = list(map(_screened, stacks))
     reached = [b.fit.log_likelihood for b in bases]
-    chosen = _promising(screened, reached)
+    chosen = _promising(screened, reached, least)
     progress(0.3, f"fitting {len(chosen)} of {sum(len(tried) for tried, _ in screened)} candidates")
     tried = [screened[i][0][k] for _, i, k in chosen]
     fits = fit_in_stages([bases[i] for _, i, _ in chosen], tried, [total for total, _, _ in chosen], max(reached))
@@ -506,12 +540,13 @@ def _rounds_on_top(stacks: Sequence[Sequence[TrialFit]], progress: Progress) -> 
 
 
 def _promising(
-    screened: Sequence[tuple[Sequence[Candidate], Sequence[float]]], log_likelihoods: Sequence[float]
+    screened: Sequence[tuple[Sequence[Candidate], Sequence[float]]], log_likelihoods: Sequence[float], least: float
 ) -> list[tuple[float, int, int]]:
     """Candidates on top of stacks that are fitted, one start of a form: what each promises over the best stack, its
     stack, and its number there.
 
     screened : by stack, as `_screened` gives it;  log_likelihoods : by stack
+    least    : what a candidate has to promise in any case
     """
     # of the most that a further effect promises, on top of any first one: the share that another has to promise to be
     # fitted, and how many are
@@ -522,7 +557,7 @@ def _promising(
         for i, (_, gains) in enumerate(screened)
         for k, gain in enumerate(gains)
     ]
-    least = pair_share * max((r for r, _, _ in reached), default=0.0)
+    least = max(least, pair_share * max((r for r, _, _ in reached), default=0.0))
     chosen: dict[tuple[int, Form], tuple[float, int, int]] = {}
     for total, i, k in sorted(reached, reverse=True):
         if total < least or len(chosen) == most_pairs:
