@@ -194,9 +194,8 @@ def _not_effects(result: SearchResult) -> list[NotEffect]:
     labels = result.before.labels
     prior, none = table_prior(result.record, labels, result.before.problem.reference), result.none.last
     # the first fit has flat priors; one with an error of the model has that of the table in it
-    flat = is_exact(none)
-    fit, covariance = (result.before.fit, result.before.bounds.covariance) if flat else (none.fit, none.fit.covariance)
-    findings = table_findings(fit, covariance, prior, has_prior=not flat)
+    of_first = result.before.fit, result.before.bounds.covariance
+    findings = table_findings(*(of_first if is_exact(none) else (none.fit, none.fit.covariance)), prior)
     return [
         NotEffect("table", f.what, {n: ParameterEstimate(v, s, MODEL[n].unit) for n, (v, s) in f.parameters.items()})
         for f in findings

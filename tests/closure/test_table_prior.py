@@ -12,6 +12,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.closure.prior.flown_path import FlownPath, projection, record_path
 from sim_heating.closure.prior.table import (
     DEFAULT_SIGMA,
+    TablePrior,
     _of_default_sigma,
     table_error,
     table_findings,
@@ -91,9 +92,7 @@ def test_a_wrong_alpha_derivative_is_named_with_its_value_and_a_right_table_is_n
     declared = flown_with({"alpha_deg": ALPHA, "elevon_deg": [-10.0, 15.0]}, sigma=0.02)
     wanted, off = ["ratio.scale", "ratio.d_alpha"], 6e-4
     wrong, right = (
-        table_findings(
-            fit.fit, fit.bounds.covariance, table_prior(record, wanted, fit.problem.reference), has_prior=False
-        )
+        table_findings(fit.fit, fit.bounds.covariance, table_prior(record, wanted, fit.problem.reference))
         for record in (record_with([], 4, declared=declared, ratio__d_alpha=error)[0] for error in (off, 0.0))
         for fit in [estimate([record], wanted)]
     )
@@ -112,7 +111,6 @@ def test_a_wrong_alpha_derivative_is_named_by_a_fit_with_its_prior() -> None:
             fitted,
             fitted.covariance,
             table_prior(fit.problem.record_fits[0].record, fit.labels, fit.problem.reference),
-            has_prior=True,
         )
         for record in (record_with([], 4, declared=declared, ratio__d_alpha=error)[0] for error in (6e-4, 0.0))
         for fit in [declared_fit(record)]
@@ -121,6 +119,20 @@ def test_a_wrong_alpha_derivative_is_named_by_a_fit_with_its_prior() -> None:
     assert right == []
     assert wrong[0].what.startswith("the table's alpha derivative is too low by 0.00")
     assert wrong[0].p_value < 1e-3
+
+
+def test_a_right_table_whose_errors_go_together_is_rarely_named_by_fits_with_separate_priors() -> None:
+    rng, names, draws = np.random.default_rng(5), ("ratio.scale", "ratio.d_alpha"), 400
+    T = np.array([[1.0, 0.99], [0.99, 1.0]])
+    told = np.diag([30.0, 0.02])  # what the readings say of each by themselves
+    C = np.linalg.inv(told + np.eye(2))
+    fit = estimate([record_with([], 4, declared=flown_with({"alpha_deg": ALPHA}, sigma=0.02))[0]], names).fit
+    named = 0
+    for true in rng.multivariate_normal(np.zeros(2), T, draws):
+        read = true + rng.normal(size=2) / np.sqrt(np.diag(told))
+        of_draw = replace(fit, values=C @ told @ read, prior_information=np.ones(2))
+        named += bool(table_findings(of_draw, C, TablePrior(names, T, stated=True)))
+    assert named <= 0.02 * draws
 
 
 def trimmed(record: Record) -> Record:

@@ -18,7 +18,12 @@ on its diagonal, that contributes most. Variances of combinations follow from co
 are assumed; so for these a share of every variance counts as independent of the others.
 
 A fit with flat priors has no error of the model in it: it takes that for an error of the table. Where the model has
-one, the estimates are those with both: theta ~ N(0, T - C), with the covariance C that the readings leave.
+one, the estimates are those with both, and with priors, which do not know how the errors of a table go together. With
+their information D, diagonal, and the covariance C of the fit, the readings leave (C^-1 - D)^-1 by themselves, and
+
+    S = G T G' + G C,   G = 1 - C D
+
+Without priors D = 0 and G = 1.
 """
 
 from __future__ import annotations
@@ -157,14 +162,12 @@ class TableFinding:
     p_value: float
 
 
-def table_findings(
-    fit: Fit, covariance: FloatArray, prior: TablePrior | None, *, has_prior: bool
-) -> list[TableFinding]:
+def table_findings(fit: Fit, covariance: FloatArray, prior: TablePrior | None) -> list[TableFinding]:
     """What of a fit leaves the prior of the declared table by more than three sigmas, the farthest first.
 
-    fit       : of one record;  covariance : of all its parameters
-    prior     : of its table for parameters of the linear model; None where the record has no table
-    has_prior : whether the fit has that prior in it, as one of a model with an error of its own; else it has flat ones
+    fit        : of one record, with flat priors or with those of the table
+    covariance : of all its parameters
+    prior      : of its table for parameters of the linear model; None where the record has no table
     """
     least = 1e-3  # part of the prior's variance that S has at least: with less, readings say nothing of a parameter
     names = [n for n in (prior.names if prior else ()) if n in fit.names]
@@ -172,7 +175,8 @@ def table_findings(
         return []
     of_fit, of_prior = [fit.names.index(n) for n in names], [prior.names.index(n) for n in names]
     C, T = covariance[np.ix_(of_fit, of_fit)], prior.covariance[np.ix_(of_prior, of_prior)]
-    S = T - C if has_prior else T + C
+    G = np.eye(len(C)) - C * fit.prior_information[of_fit]
+    S = G @ T @ G.T + G @ C
     # a parameter without a bound is not off anything
     is_told = np.isfinite(np.diag(S)) & (np.diag(S) > least * np.diag(T))
     names, chosen = [n for n, k in zip(names, is_told, strict=True) if k], np.ix_(is_told, is_told)
