@@ -15,8 +15,9 @@ from sim_heating.closure.curves import curve_trials
 from sim_heating.closure.report.record import write_closure
 from sim_heating.closure.result import NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.search.admissibility import objections
-from sim_heating.closure.search.hypothesis import NOT_PREDICTED, Hypothesis, conclude, fitted_anew
+from sim_heating.closure.search.hypothesis import NOT_PREDICTED, Hypothesis, conclude, fitted_anew, told_by_fewer
 from sim_heating.closure.search.search import SearchResult
+from sim_heating.closure.search.trials.candidates import NO_EFFECT
 from sim_heating.closure.search.trials.trial_fit import base_trial
 from sim_heating.closure.verdict.adequacy import Adequacy, assess, p_value, statistics
 from sim_heating.closure.verdict.policy import POLICY
@@ -221,6 +222,20 @@ def test_objections_are_to_the_last_fit_of_a_hypothesis() -> None:
     assert fitted_anew(before, best.last).objections == ()
     stopped = replace(best.last, fit=replace(best.last.fit, status=Status.ITERATIONS, predicted_gain=5.0))
     assert fitted_anew(best, stopped).objections == ("its fit did not converge",)
+
+
+@pytest.mark.parametrize(("score_without", "is_named"), [(-40.0, True), (-48.0, False)])
+def test_a_magnitude_whose_bound_is_wide_is_told_by_the_odds_over_a_model_without_it(score_without, is_named) -> None:
+    best = searched().conclusion.best
+    at = [u.parameter.name for u in best.last.problem.unknowns].index("effect.impingement-onset.slope")
+    values = best.last.fit.values.copy()
+    values[at] = 1.5 * best.last.fit.sigma[at]
+    small = replace(best.last, delta_bic=0.0, fit=replace(best.last.fit, values=values))
+    other = replace(best.last, name="emissivity", candidate=NO_EFFECT)
+    both = replace(fitted_anew(replace(best, trials=(other, small)), small), score=-50.0)
+    assert not both.admissible
+    without = replace(best, trials=(other,), score=score_without)
+    assert told_by_fewer(both, [without]).admissible is is_named
 
 
 def test_a_finding_that_leaves_many_noise_floors_says_what_it_resembles() -> None:

@@ -6,7 +6,7 @@ often explained best by an effect with a value that no vehicle has.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -21,14 +21,16 @@ from sim_heating.heating.effects import effects
 OFF = "standard deviations off"
 
 
-def objections(trial: TrialFit, effects_of: Sequence[Candidate] = ()) -> tuple[str, ...]:
+def objections(trial: TrialFit, effects_of: Sequence[Candidate] = (), told: Collection[str] = ()) -> tuple[str, ...]:
     """Why the effects of a trial may not be named, a line each; none where they may.
 
     effects_of : the candidates of its model; by default the last one alone
+    told       : names of those that the record tells from none, as a fit without them shows
     """
     lines = _convergence(trial)
     for candidate in effects_of or (trial.candidate,):
-        lines += [f"{candidate.name}: {line}" for line in (*_values(trial, candidate), *_magnitude(trial, candidate))]
+        magnitude = [] if candidate.name in told else _magnitude(trial, candidate)
+        lines += [f"{candidate.name}: {line}" for line in (*_values(trial, candidate), *magnitude)]
     return tuple(lines)
 
 

@@ -43,6 +43,7 @@ from sim_heating.closure.search.hypothesis import (
     hypothesis,
     least_gain,
     scored,
+    told_by_fewer,
     with_one_more,
 )
 from sim_heating.closure.search.ranking import SearchRound, count_forms, scored_trials
@@ -340,9 +341,9 @@ class _Search:
         The error takes up what further causes leave, so that the first one explains the record: whether there are more
         is told by the odds alone.
         """
-        most_rounds, begin, end = 4, 0.6, 0.9
-        models, share = list(rated), (end - begin) / most_rounds
-        for k in range(most_rounds):
+        begin, end = 0.6, 0.9
+        models, share = list(rated), (end - begin) / EFFORT.rivals
+        for k in range(EFFORT.rivals):
             best = next((h for h in models if h.admissible), None)
             if best is None or best.change is not None or best.score > -least_gain(none):
                 break
@@ -350,40 +351,53 @@ class _Search:
             if len(best.names) < POLICY.max_causes:
                 alike = sorted((h for h in models if len(h.names) == len(best.names)), key=lambda h: h.score)
                 to_reach = min(score for _, score in _to_reach(_best_by_count(models), len(best.names) + 1))
-                models = scored(none, [*models, *self._further(none, alike, to_reach, stage)])
-            without_one = self.pruned(sorted(models, key=lambda h: h.score), {frozenset(h.names) for h in models})
+                models += self._further(none, alike, to_reach, _names(models), stage)
+                models = scored(none, models)
+            without_one = self.pruned(sorted(models, key=lambda h: h.score), _names(models))
             without_one = scored(none, _with_own_errors(without_one))
-            others = self._further(none, without_one, models[0].score, stage)
-            models = scored(none, [*models, *without_one, *others])
+            models += without_one
+            models += self._further(none, without_one, models[0].score, _names(models), stage)
+            models = scored(none, [told_by_fewer(h, models) for h in models])
             if {*models[0].names} == {*best.names}:
                 break
         return models
 
     def _further(
-        self, none: Hypothesis, starts: Sequence[Hypothesis], score: float, progress: Progress
+        self,
+        none: Hypothesis,
+        starts: Sequence[Hypothesis],
+        score: float,
+        fitted: Collection[frozenset[str]],
+        progress: Progress,
     ) -> list[Hypothesis]:
         """Hypotheses with one effect more on top of each of several, each with its own error.
 
         starts : with their own errors, best first. What may not be named for what it leaves may be named with a further
                  cause, and an error of its form would take up a part of what that explains
         score  : to be reached
+        fitted : names of effects that are fitted together already
         """
         starts = _distinct([h for h in starts if h.change is None][: EFFORT.causes])
         if not starts:
             return []
         stacks = [[*h.trials[:-1], h.last.exact_forms or h.last] for h in starts]
         least = 0.5 * (min(h.score for h in starts) - score) - POLICY.gain_margin
-        return _with_own_errors(scored(none, self.with_one_more(stacks, progress, least))[: EFFORT.causes])
+        return _with_own_errors(scored(none, self.with_one_more(stacks, progress, least, fitted))[: EFFORT.rivals])
 
     def with_one_more(
-        self, stacks: Sequence[Sequence[TrialFit]], progress: Progress, least: float = 0.0
+        self,
+        stacks: Sequence[Sequence[TrialFit]],
+        progress: Progress,
+        least: float = 0.0,
+        fitted: Collection[frozenset[str]] = frozenset(),
     ) -> list[Hypothesis]:
         """Hypotheses with one effect more on top of each of several stacks of effects, a round of each side by side.
 
         stacks : effects, each fitted on top of those before
         least  : gain in log likelihood over the best stack that an effect has to promise
+        fitted : names of effects that are fitted together already, and not once more
         """
-        hypotheses, rounds = [], _rounds_on_top(stacks, progress, least)
+        hypotheses, rounds = [], _rounds_on_top(stacks, progress, least, fitted)
         progress(0.7, "fitting the leading ones to convergence")
         leading = sorted(
             ((t.fit.log_likelihood, i, t) for i, r in enumerate(rounds) for t in r.trials), key=lambda x: -x[0]
@@ -515,19 +529,26 @@ class _Search:
         return [h for t in refined if (h := with_one_more(best, t, of_round.forms)).adequate]
 
 
+def _names(models: Sequence[Hypothesis]) -> set[frozenset[str]]:
+    """What each of several models names."""
+    return {frozenset(h.names) for h in models}
+
+
 def _nameable_first(trials: Sequence[TrialFit]) -> list[TrialFit]:
     """The trials of a round that are kept, those that may be named first."""
     return sorted(trials, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
 
 
-def _rounds_on_top(stacks: Sequence[Sequence[TrialFit]], progress: Progress, least: float) -> list[SearchRound]:
+def _rounds_on_top(
+    stacks: Sequence[Sequence[TrialFit]], progress: Progress, least: float, fitted: Collection[frozenset[str]]
+) -> list[SearchRound]:
     """By stack of effects, the pass over all candidates on top of it; of all passes together the best are fitted.
 
-    least : gain in log likelihood over the best stack that a candidate has to promise
+    least, fitted : as `_Search.with_one_more` has them
     """
     progress(0.0, "screening candidates")
     bases = [stack[-1] for stack in stacks]
-    screened = list(map(_screened, stacks))
+    screened = [_screened(stack, fitted) for stack in stacks]
     reached = [b.fit.log_likelihood for b in bases]
     chosen = _promising(screened, reached, least)
     progress(0.3, f"fitting {len(chosen)} of {sum(len(tried) for tried, _ in screened)} candidates")
@@ -566,9 +587,13 @@ def _promising(
     return list(chosen.values())
 
 
-def _screened(stack: Sequence[TrialFit]) -> tuple[list[Candidate], list[float]]:
-    """Candidates on top of a stack of effects, and the gain in log likelihood that each predicts."""
-    tried = _candidates(stack[-1], [t.name for t in stack])
+def _screened(stack: Sequence[TrialFit], fitted: Collection[frozenset[str]]) -> tuple[list[Candidate], list[float]]:
+    """Candidates on top of a stack of effects, and the gain in log likelihood that each predicts.
+
+    fitted : names of effects that are fitted together already
+    """
+    names = [t.name for t in stack]
+    tried = [c for c in _candidates(stack[-1], names) if frozenset({*names, c.name}) not in fitted]
     return tried, predicted_gains(stack[-1], tried)
 
 

@@ -158,7 +158,8 @@ class Effort:
 
     compared : leading hypotheses that are judged with an error of their own, changes and common causes that are fitted
     causes   : leading causes of a round that are fitted to convergence, or that a further one is sought on top of
-    rivals   : times that members of a model are exchanged, richer forms of a cause, starts of a common one
+    rivals   : times that members of a model are exchanged, models with a further cause that are judged each time,
+               richer forms of a cause, starts of a common one
     starts   : starts of one form, and second causes that are kept on top of each first one
     """
 
