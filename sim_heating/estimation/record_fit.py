@@ -411,6 +411,13 @@ class ErrorModes(NamedTuple):
         """Minus half the logarithm of the determinant of 1 + G' R^-1 G [-]: docs/theory/model_error.md, equation 3."""
         return -float(np.sum(np.log(self.scale)))
 
+    def all_unknowns(self, seen: FloatArray, score: FloatArray) -> FloatArray:
+        """(unknown, ...) u from its values along the modes, (mode, ...), and G' times the score of the readings [-].
+
+        Directions that the readings hardly see follow from the score: what these change in it is of second order.
+        """
+        return np.asarray(score + self.basis @ (seen - self.basis.T @ score))
+
 
 def take_error(record_fit: RecordFit, other: RecordFit) -> None:
     """Give a record the error of another fit's model, with its roots where both have the same readings.

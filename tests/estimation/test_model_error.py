@@ -23,7 +23,6 @@ from sim_heating.estimation.inference.error_size import error_size
 from sim_heating.estimation.inference.likelihood import log_likelihood
 from sim_heating.estimation.inference.model_error import Correlation, HeatingErrorPrior
 from sim_heating.estimation.problem import FitProblem
-from sim_heating.estimation.record_fit import LEAST_SEEN
 from sim_heating.inputs.record import FlightUncertainty, load_record
 from tests.support.paths import ROOT
 
@@ -159,8 +158,7 @@ def test_readings_held_out_are_as_uncertain_as_the_parameters_are(halves):
     moved = J_there - across @ np.linalg.solve(here, J)
     covariance = there - across @ np.linalg.solve(here, across.T) + moved @ variances @ moved.T
     mean = across @ np.linalg.solve(here, residual)
-    unseen = 100.0 * LEAST_SEEN**2  # of some hundred directions that are left out
-    assert found == pytest.approx(multivariate_normal(mean, covariance).logpdf(left), abs=unseen)
+    assert found == pytest.approx(multivariate_normal(mean, covariance).logpdf(left), rel=1e-9)
 
 
 def test_without_an_error_the_likelihood_is_as_it_was():

@@ -282,10 +282,8 @@ def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> Sco
             break
         gradient = (G.T @ score - u) / scale
         history.add(step, before - gradient)
-    # directions that the readings hardly see follow from the score
-    full = record_fit.error_root_K.T @ score
-    V = modes.basis
-    return ScoredReadings(total + volume, score, weight, G, full + V @ (u - V.T @ full))
+    error = modes.all_unknowns(u, record_fit.error_root_K.T @ score)
+    return ScoredReadings(total + volume, score, weight, G, error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,8 +392,10 @@ def innovations(
     means, sigmas = np.split(predicted.reshape(shape), ends), np.split(np.sqrt(np.maximum(variance, 0.0)), ends)
     channels = [replace(s, mean_K=m, predicted_sigma_K=d) for s, m, d in zip(samples, means, sigmas, strict=True)]
     if is_first:
-        V = modes.basis
-        u, P = V @ u, np.eye(len(V)) + V @ (P - np.eye(V.shape[1])) @ V.T
+        assert record_fit.error_root_K is not None  # its modes are those of one
+        V, left = modes.basis, np.where(is_known[:, np.newaxis], read - mean_K[:, np.newaxis] - G @ u, 0.0)
+        u = modes.all_unknowns(u, record_fit.error_root_K.T @ (left / noise[:, np.newaxis] ** 2))
+        P = np.eye(len(V)) + V @ (P - np.eye(V.shape[1])) @ V.T
     return channels, ErrorState(u, P)
 
 
