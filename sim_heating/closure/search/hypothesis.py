@@ -234,10 +234,10 @@ def told_by_fewer(h: Hypothesis, others: Sequence[Hypothesis]) -> Hypothesis:
     if h.change is not None or len(h.names) < 2 or h.admissible:
         return h
 
-    def least(name: str) -> float:
+    def score_without(name: str) -> float:
         return min((o.score for o in others if {*o.names} == {*h.names} - {name}), default=-math.inf)
 
-    told = {name for name in h.names if h.score <= least(name) - POLICY.min_sigmas**2}
+    told = {name for name in h.names if h.score <= score_without(name) - POLICY.min_sigmas**2}
     return _with_objections(h, told) if told else h
 
 

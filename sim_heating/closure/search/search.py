@@ -353,10 +353,12 @@ class _Search:
                 to_reach = min(score for _, score in _to_reach(_best_by_count(models), len(best.names) + 1))
                 models += self._further(none, alike, to_reach, _names(models), stage)
                 models = scored(none, models)
-            without_one = self.pruned(sorted(models, key=lambda h: h.score), _names(models))
+            leading = sorted((h for h in models if h.change is None), key=lambda h: h.score)
+            without_one = self.pruned(leading, _names(models))
             without_one = scored(none, _with_own_errors(without_one))
             models += without_one
             models += self._further(none, without_one, models[0].score, _names(models), stage)
+            models = scored(none, models)
             models = scored(none, [told_by_fewer(h, models) for h in models])
             if {*models[0].names} == {*best.names}:
                 break
@@ -470,16 +472,16 @@ class _Search:
             stack.append(replace(trial_fit.with_held_out(below, fitted), delta_bic=delta))
         return stack[1:]
 
-    def pruned(self, rated: Sequence[Hypothesis], tried: Collection[frozenset[str]] = frozenset()) -> list[Hypothesis]:
+    def pruned(self, rated: Sequence[Hypothesis], fitted: Collection[frozenset[str]] = frozenset()) -> list[Hypothesis]:
         """The best hypothesis without each of its effects in turn, where it has several.
 
-        tried : names of hypotheses that are not fitted again
+        fitted : as `with_one_more` has it
         """
         if not rated or len(rated[0].trials) < 2 or rated[0].change is not None:
             return []
         trials, values = rated[0].trials, trial_fit.fitted_values(rated[0].last)
         fewer = [[t for t in trials if t is not left_out] for left_out in trials]
-        stacks = [self.fitted_stack(kept, values) for kept in fewer if frozenset(t.name for t in kept) not in tried]
+        stacks = [self.fitted_stack(kept, values) for kept in fewer if frozenset(t.name for t in kept) not in fitted]
         return [self.stack(stack) for stack in stacks if np.isfinite(stack[-1].fit.log_likelihood)]
 
     def exchanged(self, hypotheses: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
